@@ -8,9 +8,9 @@ use super::{CommandOutcome, CommandOutput};
 use dbbd_job::files;
 use dbbd_job::recording::capture::{CaptureRecord, CaptureWriter, RunEvent};
 use dbbd_job::recording::import::ImportFinding;
-use dbbd_job::recording::import::{TraceBar, TraceCounts, TraceMapping, TraceReader, TraceRow};
+use dbbd_job::recording::import::{TraceBar, TraceCounts, TraceFormat, TraceMapping, TraceReader, TraceRow};
 use dbbd_job::recording::run::PlanFiles;
-use dbbd_job::request::WatchedFile;
+use dbbd_job::request::open_text;
 use dbbd_model::base::table::TableReader;
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
@@ -27,8 +27,9 @@ const LONG: f64 = 1.5;
 /// Printed below the options.
 const LAYOUT: &str = "Without --mapping, FILE has the columns t_s (s, or dates) and length_mm (between the ball centres, or \
 the bar's reading); other columns are ignored. Delimiter, decimal mark and encoding are detected. A mapping describes other \
-layouts: [file] delimiter decimal skip_lines header comment; [time] column unit = s|ms|us|ns|iso, or rate_hz; [length] \
-column unit = mm|um|m|inch kind = distance|reading; [strobe], [valid], [temperature] column. A column is a name, or a \
+layouts: [file] delimiter decimal skip_lines header comment; [time] column date_column format unit = s|ms|us|ns|iso, or \
+rate_hz; [length] column unit = mm|um|m|inch kind = distance|reading; [strobe], [valid] column threshold; [temperature] \
+column. A column is a name, or a \
 number from 1. examples/mapping.toml explains each key.";
 
 /// Convert a trace that other software recorded into a capture.
@@ -59,10 +60,12 @@ pub(crate) fn run(args: &ImportArgs, out: &CommandOutput) -> Result<CommandOutco
     let files = PlanFiles::read(&args.plan)?;
     let bar = &files.plan.header.job.bar;
     let bar = TraceBar { length_mm: bar.length_mm, stroke_mm: bar.stroke_mm };
+    let format = TraceFormat::detect(&mut table(args, &mapping, out)?, &mapping, bar.length_mm)?;
+    let trace = || table(args, &mapping, out).map(|table| TraceReader::new(table, &mapping, &format, bar));
     // A first pass checks every line, so that a wrong one leaves no capture behind.
-    let (counts, findings) = rows(args, &mapping, bar, out, |_| Ok(()))?;
+    let (counts, findings) = rows(trace()?, |_| Ok(()))?;
     out.findings(findings);
-    let TraceCounts { samples, invalid, unix_ns, .. } = counts;
+    let TraceCounts { samples, invalid, missing, unix_ns, .. } = counts;
     if let Some([low_mm, high_mm]) = counts.range_mm.filter(|_| invalid == samples) {
         let invalid = ImportFinding::AllInvalid { readings: samples, low_mm, high_mm };
         return Err(Diagnostic::file(&name, invalid));
@@ -80,7 +83,7 @@ pub(crate) fn run(args: &ImportArgs, out: &CommandOutput) -> Result<CommandOutco
     writer.write(begin, &CaptureRecord::Event(RunEvent::Mark { text: format!("imported from {name}") }))?;
     let mut last = begin;
     let mut block = ImportBlock::default();
-    rows(args, &mapping, bar, out, |read| {
+    rows(trace()?, |read| {
         last = read.sample.map_or(last, |(host, _)| host);
         block.text.extend(read.text.into_bytes());
         block.samples.extend(read.sample);
@@ -89,8 +92,8 @@ pub(crate) fn run(args: &ImportArgs, out: &CommandOutput) -> Result<CommandOutco
     block.write(&mut writer, last)?;
     writer.finish(last, "the end of the file that was imported", 0)?;
     let seconds = last.seconds_since(begin);
-    if invalid > 0 {
-        out.finding(Diagnostic::file(&name, ImportFinding::NotValid { readings: invalid }));
+    if invalid > missing {
+        out.finding(Diagnostic::file(&name, ImportFinding::NotValid { readings: invalid - missing }));
     }
     if !(least_s..=MAX_DURATION_RATIO * planned_s).contains(&seconds) {
         out.finding(Diagnostic::file(&name, ImportFinding::Duration { seconds, planned_s }));
@@ -99,22 +102,26 @@ pub(crate) fn run(args: &ImportArgs, out: &CommandOutput) -> Result<CommandOutco
         out.finding(Diagnostic::file(&name, ImportFinding::Longer { seconds, times }));
     }
     out.findings_in(&name, counts.findings(seconds, dwell_s));
-    out.document(&json!({ "samples": samples, "invalid": invalid, "seconds": seconds }))?;
+    out.document(
+        &json!({ "samples": samples, "invalid": invalid, "no_reading": missing, "seconds": seconds }),
+    )?;
     out.result(format!("{}: {samples} samples over {seconds:.1} s", args.out.display()));
     Ok(CommandOutcome::Done)
 }
 
-/// Calls `each` with every row and its text.
-fn rows(
+fn table<'a>(
     args: &ImportArgs,
     mapping: &TraceMapping,
-    bar: TraceBar,
     out: &CommandOutput,
+) -> Result<TableReader<'a>, Diagnostic> {
+    TableReader::new(&args.file.display().to_string(), open_text(&args.file, out)?, mapping.layout())
+}
+
+/// Calls `each` with every row and its text.
+fn rows(
+    mut trace: TraceReader<'_>,
     mut each: impl FnMut(TraceRow) -> Result<(), Diagnostic>,
 ) -> Result<(TraceCounts, Vec<Diagnostic>), Diagnostic> {
-    let source = WatchedFile::open(&args.file, out)?;
-    let table = TableReader::new(&args.file.display().to_string(), source, mapping.layout())?;
-    let mut trace = TraceReader::new(table, mapping, bar);
     loop {
         let read = trace.row()?;
         let last = read.sample.is_none();

@@ -29,7 +29,7 @@ pub use earlier::{other_run, read_identity};
 pub use protocols::{read_protocol, read_protocol_file};
 pub use robots::{aged, carrying, edited};
 pub use row_indices::RowIndices;
-pub use watch::{BusyIndicator, RequestWatch, WatchedFile, read_table};
+pub use watch::{BusyIndicator, RequestWatch, open_text, read_table};
 pub use workspace::checked_workspace;
 
 use std::path::Path;

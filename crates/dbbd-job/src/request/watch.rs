@@ -6,6 +6,8 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
+use flate2::bufread::MultiGzDecoder;
+
 use crate::files;
 use dbbd_model::base::table::{TableLayout, TableReader};
 use dbbd_model::base::text::unreadable;
@@ -41,13 +43,13 @@ impl BusyIndicator for NoIndicator {
 }
 
 /// A file whose reader shows how much of it was read.
-pub struct WatchedFile {
+struct WatchedFile {
     file: BufReader<File>,
     busy: Box<dyn BusyIndicator>,
 }
 
 impl WatchedFile {
-    pub fn open(path: &Path, watch: &dyn RequestWatch) -> Result<Self, Diagnostic> {
+    fn open(path: &Path, watch: &dyn RequestWatch) -> Result<Self, Diagnostic> {
         let name = path.display().to_string();
         let unreadable = unreadable(&name);
         let file = files::open(path)?;
@@ -75,13 +77,25 @@ impl BufRead for WatchedFile {
     }
 }
 
+/// Opens a text of the user, which may be compressed with gzip.
+pub fn open_text(path: &Path, watch: &dyn RequestWatch) -> Result<Box<dyn BufRead>, Diagnostic> {
+    const GZIP: [u8; 2] = [0x1f, 0x8b];
+    let mut file = WatchedFile::open(path, watch)?;
+    let begin = file.fill_buf().map_err(unreadable(path.display()))?;
+    Ok(if begin.starts_with(&GZIP) {
+        Box::new(BufReader::new(MultiGzDecoder::new(file)))
+    } else {
+        Box::new(file)
+    })
+}
+
 /// Reads a table of the user with `read`. Returns its content, and a finding if its format is unusual.
 pub fn read_table<T>(
     path: &Path,
     watch: &dyn RequestWatch,
     read: impl FnOnce(&mut TableReader<'_>) -> Result<T, Diagnostic>,
 ) -> Result<(T, Option<Diagnostic>), Diagnostic> {
-    let file = WatchedFile::open(path, watch)?;
+    let file = open_text(path, watch)?;
     let mut table = TableReader::new(&path.display().to_string(), file, TableLayout::default())?;
     let content = read(&mut table)?;
     let unusual = table.findings();

@@ -44,6 +44,7 @@ pub struct TableReader<'a> {
     read: String,
     /// The length of all text so far, in bytes of UTF-8.
     bytes: u64,
+    ends_with_line: bool,
 }
 
 /// The column names, and the properties that all cells share.
@@ -90,6 +91,7 @@ impl<'a> TableReader<'a> {
             record: RowContent::default(),
             read: String::new(),
             bytes: 0,
+            ends_with_line: true,
         };
         if table.layout.header && table.read_record()? {
             let cells = std::mem::take(&mut table.record.cells);
@@ -171,6 +173,11 @@ impl<'a> TableReader<'a> {
         Ok(Some(row))
     }
 
+    /// Whether the text that was read so far ends with a whole line.
+    pub fn ends_with_line(&self) -> bool {
+        self.ends_with_line
+    }
+
     /// The text that was read since the last call, in UTF-8.
     pub fn take_text(&mut self) -> String {
         std::mem::take(&mut self.read)
@@ -200,6 +207,7 @@ impl<'a> TableReader<'a> {
             self.read.push_str(&line);
             self.record.offset = self.bytes;
             self.bytes += line.len() as u64;
+            self.ends_with_line = line.ends_with('\n');
             let text = line.trim_start_matches('\u{feff}').trim_end_matches(['\n', '\r']);
             let comment = self.layout.comment.as_deref().is_some_and(|begin| text.starts_with(begin));
             if self.lines.number() <= self.layout.skip_lines || text.trim().is_empty() || comment {
@@ -326,7 +334,7 @@ impl<'a> TableRow<'a> {
     }
 
     /// The text of a whole number. Other programs write it as `1.0`.
-    pub(crate) fn whole_text(&self, at: usize) -> &'a str {
+    pub fn whole_text(&self, at: usize) -> &'a str {
         match self.text(at).split_once(['.', ',']) {
             Some((whole, zeros)) if !zeros.is_empty() && zeros.bytes().all(|byte| byte == b'0') => whole,
             _ => self.text(at),

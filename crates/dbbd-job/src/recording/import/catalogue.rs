@@ -13,13 +13,19 @@ findings! {
             DecimalIsDelimiter => "is the same as the delimiter";
             Rate => "must be a positive number";
             RateAndColumn => "rate_hz is in place of a column of times: give one of them";
+            UnitOfText => "is a unit of numbers, and `format` and `date_column` are for text";
+            TimeFormatItem { item: String } => "`{item}` is not a part of a time", help: "%Y %y %m %b %d, %H, or %I with %p, %M %S %f, %z; %s for seconds since 1970; %% for a percent sign";
+            TimeFormatLacks { what: &'static str } => "lacks {what}";
+            Threshold => "must be a finite number";
             NoHeader { column: String } => "has no header by its mapping, so the column `{column}` must be a number from 1";
         }
         E1103 "a field of a trace cannot be read",
         cause: "The field holds another format than the mapping says, or than the rows before.",
-        cure: "Look at the line that is named, and correct the mapping: [time] unit, the columns." {
-            NotAFlag { field: String } => "`{field}` must be 0 or 1";
-            NotADate { field: String } => "`{field}` is not a date and time as 2026-11-21T14:02:11.123 or 21.11.2026 14:02:11,123";
+        cure: "Look at the line that is named, and correct the mapping: [time] unit or format, the columns, [strobe] threshold." {
+            NotAFlag { field: String } => "`{field}` must be 0 or 1, or a word as on, high, true", help: "the column of a voltage needs a `threshold` in the mapping";
+            NotADate { field: String } => "`{field}` is not a date and time as the rows before, or as 2026-11-21T14:02:11.123, 21.11.2026 14:02:11,123, 11/21/2026 2:02:11 PM", help: "in a mapping [time] format says how it is written, as in format = \"%d/%m/%y %H:%M:%S.%f\"";
+            NotOfFormat { field: String } => "`{field}` is not as [time] format of the mapping says";
+            DayOrMonth { field: String } => "`{field}`: is the day first or the month? No day above 12 shows it", help: "say it in a mapping: [time] format = \"%d/%m/%Y %H:%M:%S.%f\", or \"%m/%d/%Y ..\"; %I and %p for AM and PM";
         }
         E1104 "the time of a trace goes back",
         cause: "A counter began again from 0, lines are not in order, or the column is not a time.",
@@ -36,6 +42,18 @@ findings! {
         cause: "The file is empty or holds only a header, or skip_lines or comment of the mapping leave out every line.",
         cure: "Check the file and [file] skip_lines and comment in the mapping." {
             Empty => "holds no reading: only a header, or nothing";
+        }
+        W1182 "readings are missing in a trace",
+        cause: "The length is empty, a word or NaN, or a value far from every length of the bar: loggers write so that there is no reading.",
+        cure: "Nothing to do if the instrument lost the target for a moment: these rows are kept as not valid. More than 10 % of the rows are refused: then the column or the unit is wrong." {
+            NoReading { rows: u64, samples: u64, percent: f64 } => "{rows} of {samples} rows have no reading ({percent:.2} %), the first in this line: they are not valid";
+        }
+        I1114 "lines of a trace are left out",
+        cause: "Lines below the header or at the end of the file hold no time and length: units, statistics, or a line that was cut off.",
+        cure: "Nothing to do, if the message is right." {
+            LinesAbove { lines: u64 } => "{lines} lines below the header are left out, from this one: they hold no reading";
+            LinesBelow { lines: u64 } => "{lines} lines at the end are left out, from this one: they hold no reading";
+            CutOff => "the last line is cut off and left out";
         }
         E1180 "a trace holds no reading of this bar",
         cause: "Every reading is beyond the bar's stroke or marked as not valid: the unit or the kind of the lengths is another, or the bar was not zeroed.",
@@ -67,9 +85,9 @@ findings! {
             NotValid { readings: u64 } => "{readings} readings are beyond the bar's stroke or marked as not valid";
         }
         I1112 "the format of times or lengths of a trace was detected",
-        cause: "The mapping does not state it (or there is no mapping); the first row shows it without doubt.",
-        cure: "Nothing to do, if the message is right. Else give [time] unit or [length] kind in a mapping." {
-            Dates => "the times are read as dates";
+        cause: "The mapping does not state it (or there is no mapping); the rows show it without doubt.",
+        cure: "Nothing to do, if the message is right. Else give [time] format or unit, or [length] kind in a mapping." {
+            Times { written: &'static str } => "the times are read as {written}";
             Readings { bar_mm: f64 } => "the lengths are read as readings of the bar of {bar_mm} mm";
         }
     }

@@ -4,6 +4,7 @@ use std::num::NonZeroUsize;
 
 use serde::Deserialize;
 
+use super::date::TimeFormat;
 use crate::recording::import::ImportFinding;
 use dbbd_model::base::parse::from_toml;
 use dbbd_model::base::table::{Delimiter, TableLayout};
@@ -16,8 +17,8 @@ pub struct TraceMapping {
     pub(super) file: TraceFileTable,
     pub(super) time: TraceTimeTable,
     pub(super) length: TraceLengthTable,
-    pub(super) strobe: Option<ColumnKey>,
-    pub(super) valid: Option<ColumnKey>,
+    pub(super) strobe: Option<FlagColumn>,
+    pub(super) valid: Option<FlagColumn>,
     pub(super) temperature: Option<ColumnKey>,
 }
 
@@ -47,6 +48,10 @@ impl Default for TraceFileTable {
 #[serde(deny_unknown_fields, default)]
 pub(super) struct TraceTimeTable {
     pub(super) column: TraceColumn,
+    /// Column of the dates, if they have one of their own.
+    pub(super) date_column: Option<TraceColumn>,
+    /// How date and time are written, as for `strptime`; if it is absent, detected.
+    pub(super) format: Option<String>,
     /// Unit of the times; if it is absent, seconds, or dates if the first row has a date.
     pub(super) unit: Option<TraceTimeUnit>,
     /// Readings per second, instead of a column.
@@ -55,7 +60,8 @@ pub(super) struct TraceTimeTable {
 
 impl Default for TraceTimeTable {
     fn default() -> Self {
-        Self { column: TraceColumn::Name("t_s".into()), unit: None, rate_hz: None }
+        let column = TraceColumn::Name("t_s".into());
+        Self { column, date_column: None, format: None, unit: None, rate_hz: None }
     }
 }
 
@@ -132,6 +138,15 @@ pub(super) struct ColumnKey {
     pub(super) column: TraceColumn,
 }
 
+/// A column of zeros and ones, or of words for them.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FlagColumn {
+    pub(super) column: TraceColumn,
+    /// Numbers from this one on mean 1: the column is a voltage.
+    pub(super) threshold: Option<f64>,
+}
+
 /// A column by name, or by number from 1.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
 #[serde(untagged, expecting = "a column's name, or its number from 1")]
@@ -158,11 +173,23 @@ impl TraceMapping {
         if decimal.is_some_and(|decimal| delimiter.is_some_and(|delimiter| delimiter.starts_with(decimal))) {
             return Err(at("decimal", ImportFinding::DecimalIsDelimiter));
         }
-        let named = mapping.time.column != TraceTimeTable::default().column || mapping.time.unit.is_some();
-        if mapping.time.rate_hz.is_some() && named {
+        let TraceTimeTable { column, date_column, format, unit, rate_hz } = &mapping.time;
+        let as_text = date_column.is_some() || format.is_some();
+        let named = *column != TraceTimeTable::default().column || unit.is_some() || as_text;
+        if rate_hz.is_some() && named {
             return Err(at("rate_hz", ImportFinding::RateAndColumn));
         }
-        if mapping.time.rate_hz.is_some_and(|hz| !(hz.is_finite() && hz > 0.0)) {
+        if as_text && unit.is_some_and(|unit| unit != TraceTimeUnit::Iso) {
+            return Err(at("unit", ImportFinding::UnitOfText));
+        }
+        if let Some(format) = format {
+            TimeFormat::new(format).map_err(|finding| at("format", finding))?;
+        }
+        let flags = [&mapping.strobe, &mapping.valid].into_iter().flatten();
+        if flags.filter_map(|flag| flag.threshold).any(|threshold| !threshold.is_finite()) {
+            return Err(at("threshold", ImportFinding::Threshold));
+        }
+        if rate_hz.is_some_and(|hz| !(hz.is_finite() && hz > 0.0)) {
             return Err(at("rate_hz", ImportFinding::Rate));
         }
         Ok(mapping)
@@ -217,6 +244,12 @@ mod tests {
             ("[time]\nrate_hz = inf", Some(ImportFinding::Rate)),
             ("[time]\nrate_hz = 100\ncolumn = 't'", Some(ImportFinding::RateAndColumn)),
             ("[time]\nrate_hz = 100\nunit = 'ms'", Some(ImportFinding::RateAndColumn)),
+            ("[time]\nrate_hz = 100\ndate_column = 'd'", Some(ImportFinding::RateAndColumn)),
+            ("[time]\nunit = 'ms'\nformat = '%H:%M'", Some(ImportFinding::UnitOfText)),
+            ("[time]\nunit = 'iso'\nformat = '%H:%M'", None),
+            ("[time]\nformat = '%H:%Q'", Some(ImportFinding::TimeFormatItem { item: "%Q".into() })),
+            ("[time]\nformat = '%I:%M'", Some(ImportFinding::TimeFormatLacks { what: "AM or PM, %p" })),
+            ("[strobe]\ncolumn = 1\nthreshold = nan", Some(ImportFinding::Threshold)),
         ] {
             assert_eq!(finding(text), expected, "{text}");
         }

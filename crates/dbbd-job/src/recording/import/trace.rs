@@ -1,15 +1,21 @@
 //! Converts the rows of a trace to samples.
 
-use super::date;
-use super::mapping::{ColumnKey, LengthKind, TraceColumn, TraceMapping, TraceTimeUnit};
+use super::date::WrittenTime;
+use super::format::TraceFormat;
+use super::mapping::{FlagColumn, TraceMapping};
 use crate::recording::import::ImportFinding;
+use dbbd_model::base::FileFinding;
 use dbbd_model::base::table::{TableReader, TableRow};
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::sample::Sample;
 
-/// A value further from the bar's length than this share of it is no length of this bar.
-const FAR_OFF: f64 = 0.2;
+/// With a larger share of rows without a reading, the column or its unit is wrong.
+const MAX_MISSING_SHARE: f64 = 0.1;
+/// Most lines without a reading between header and readings, and below them.
+const MAX_LINES_ABOVE: u64 = 3;
+const MAX_LINES_BELOW: u64 = 20;
+const DAY_NS: i128 = 86_400_000_000_000;
 
 /// The bar that recorded the trace.
 #[derive(Clone, Copy, Debug)]
@@ -23,19 +29,38 @@ pub struct TraceBar {
 pub struct TraceReader<'a> {
     table: TableReader<'a>,
     state: TraceState<'a>,
+    /// Lines that are no rows: they may stand above and below the readings.
+    above: Option<LinesAside>,
+    below: Option<LinesAside>,
+}
+
+/// Lines that are no rows of the trace, and what is wrong with the first.
+struct LinesAside {
+    lines: u64,
+    first: Diagnostic,
 }
 
 /// State after the rows so far.
 struct TraceState<'a> {
     mapping: &'a TraceMapping,
+    format: &'a TraceFormat,
     bar: TraceBar,
-    places: Option<ColumnPlaces>,
-    time: Option<TraceTimeUnit>,
-    kind: Option<LengthKind>,
     /// Time of the first row, ns.
     first_ns: Option<i128>,
+    /// Midnights that a time without a date passed, ns.
+    midnights_ns: i128,
     last: HostNs,
+    last_sample: Sample,
+    /// What is wrong with the first reading that is missing.
+    missing: Option<Diagnostic>,
     counts: TraceCounts,
+}
+
+/// What a line of the trace is.
+enum TraceLine {
+    Sample(HostNs, Sample),
+    /// No row of the trace, and why.
+    Aside(Diagnostic),
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -44,6 +69,8 @@ pub struct TraceCounts {
     pub samples: u64,
     /// Readings beyond the stroke, or marked as invalid.
     pub invalid: u64,
+    /// Rows without a reading.
+    pub missing: u64,
     /// Lowest and highest reading, mm.
     pub range_mm: Option<[f64; 2]>,
     /// Number of gaps of more than a second, and the longest, s.
@@ -56,10 +83,12 @@ pub struct TraceCounts {
 }
 
 impl TraceCounts {
-    fn add(&mut self, reading_mm: f64, after_s: f64) {
+    fn add(&mut self, reading_mm: Option<f64>, after_s: f64) {
         const HOLE_S: f64 = 1.0;
-        let [low, high] = self.range_mm.unwrap_or([reading_mm; 2]);
-        self.range_mm = Some([low.min(reading_mm), high.max(reading_mm)]);
+        if let Some(reading_mm) = reading_mm {
+            let [low, high] = self.range_mm.unwrap_or([reading_mm; 2]);
+            self.range_mm = Some([low.min(reading_mm), high.max(reading_mm)]);
+        }
         self.same_times += u64::from(self.samples > 0 && after_s == 0.0);
         self.holes += u64::from(after_s > HOLE_S);
         self.longest_s = self.longest_s.max(after_s);
@@ -93,151 +122,186 @@ pub struct TraceRow {
     pub sample: Option<(HostNs, Sample)>,
 }
 
-#[derive(Clone, Copy)]
-struct ColumnPlaces {
-    time: Option<usize>,
-    length: usize,
-    strobe: Option<usize>,
-    valid: Option<usize>,
-    temperature: Option<usize>,
-}
-
 impl<'a> TraceReader<'a> {
-    pub fn new(table: TableReader<'a>, mapping: &'a TraceMapping, bar: TraceBar) -> Self {
+    pub fn new(
+        table: TableReader<'a>,
+        mapping: &'a TraceMapping,
+        format: &'a TraceFormat,
+        bar: TraceBar,
+    ) -> Self {
         let state = TraceState {
             mapping,
+            format,
             bar,
-            places: None,
-            time: mapping.time.unit,
-            kind: mapping.length.kind,
             first_ns: None,
+            midnights_ns: 0,
             last: HostNs(0),
+            last_sample: Sample::of(0.0),
+            missing: None,
             counts: TraceCounts::default(),
         };
-        Self { table, state }
+        Self { table, state, above: None, below: None }
     }
 
     /// The next row; the last has no sample.
     pub fn row(&mut self) -> Result<TraceRow, Diagnostic> {
-        let places = match self.state.places {
-            Some(places) => places,
-            None => {
-                let places = self.find();
-                // An empty file has no rows: a missing column would be a misleading finding.
-                if places.is_err() && self.table.names().is_empty() && self.table.row()?.is_none() {
-                    return Err(Diagnostic::file(self.table.file(), ImportFinding::Empty));
+        loop {
+            let line = match self.table.row() {
+                Ok(None) => return Ok(TraceRow { text: self.table.take_text(), sample: None }),
+                Ok(Some(row)) => self.state.line(&row)?,
+                Err(wrong) if matches!(wrong.finding(), Some(FileFinding::CellCount { .. })) => {
+                    TraceLine::Aside(wrong)
                 }
-                *self.state.places.insert(places?)
+                Err(wrong) => return Err(wrong),
+            };
+            let is_first = self.state.counts.samples == u64::from(matches!(line, TraceLine::Sample(..)));
+            let (aside, max) = match is_first {
+                true => (&mut self.above, MAX_LINES_ABOVE),
+                false => (&mut self.below, MAX_LINES_BELOW),
+            };
+            match line {
+                // Only the first and the last lines of a trace may be something else.
+                TraceLine::Sample(host, sample) => {
+                    match aside.take_if(|aside| !is_first || aside.lines > max) {
+                        Some(aside) => return Err(aside.first),
+                        None => {
+                            return Ok(TraceRow {
+                                text: self.table.take_text(),
+                                sample: Some((host, sample)),
+                            });
+                        }
+                    }
+                }
+                TraceLine::Aside(first) => {
+                    let aside = aside.get_or_insert(LinesAside { lines: 0, first });
+                    aside.lines += 1;
+                }
             }
-        };
-        let sample = match self.table.row()? {
-            Some(row) => Some(self.state.row(&row, places)?),
-            None => None,
-        };
-        Ok(TraceRow { text: self.table.take_text(), sample })
+        }
     }
 
     /// Ends the trace: counts, and findings about it.
     pub fn finish(self) -> Result<(TraceCounts, Vec<Diagnostic>), Diagnostic> {
-        let Self { table, state, .. } = self;
-        if state.counts.samples == 0 {
-            return Err(Diagnostic::file(table.file(), ImportFinding::Empty));
+        let Self { table, state: TraceState { format, bar, missing, counts, .. }, above, below } = self;
+        let file = table.file();
+        if counts.samples == 0 {
+            let wrong = above.map(|above| above.first);
+            return Err(wrong.unwrap_or_else(|| Diagnostic::file(file, ImportFinding::Empty)));
         }
-        let dates = state.mapping.time.unit.is_none() && state.time == Some(TraceTimeUnit::Iso);
-        let readings = state.mapping.length.kind.is_none() && state.kind == Some(LengthKind::Reading);
-        let bar_mm = state.bar.length_mm;
-        let other = state.counts.range_mm.filter(|_| readings).and_then(|range| other_unit(range, bar_mm));
-        let found = [
-            dates.then_some(ImportFinding::Dates),
-            readings.then_some(ImportFinding::Readings { bar_mm }),
-            other,
-        ];
-        let found = found.into_iter().flatten().map(|finding| Diagnostic::file(table.file(), finding));
-        Ok((state.counts, table.findings().into_iter().chain(found).collect()))
-    }
-
-    /// Positions of the columns, by the header if there is one.
-    fn find(&self) -> Result<ColumnPlaces, Diagnostic> {
-        let TraceMapping { file, time, length, strobe, valid, temperature } = self.state.mapping;
-        let place = |column: &TraceColumn| match column {
-            TraceColumn::Number(number) => Ok(number.get() - 1),
-            TraceColumn::Name(name) if file.header => self.table.required([name]).map(|[at]| at),
-            TraceColumn::Name(name) => {
-                Err(Diagnostic::file(self.table.file(), ImportFinding::NoHeader { column: name.clone() }))
-            }
-        };
-        let optional = |key: &Option<ColumnKey>| key.as_ref().map(|key| place(&key.column)).transpose();
-        Ok(ColumnPlaces {
-            time: if time.rate_hz.is_some() { None } else { Some(place(&time.column)?) },
-            length: place(&length.column)?,
-            strobe: optional(strobe)?,
-            valid: optional(valid)?,
-            temperature: optional(temperature)?,
-        })
+        if let Some(below) = below.as_ref().filter(|below| below.lines > MAX_LINES_BELOW) {
+            return Err(below.first.clone());
+        }
+        let (rows, samples) = (counts.missing, counts.samples);
+        let share = rows as f64 / samples as f64;
+        if let Some(missing) = missing.as_ref().filter(|_| share > MAX_MISSING_SHARE) {
+            let help = missing.help_line().map_or_else(String::new, |help| format!("{help}; "));
+            let max = 100.0 * MAX_MISSING_SHARE;
+            return Err(missing.clone().help(format!(
+                "{help}{rows} of {samples} rows are like this one; up to {max} % pass as rows without a reading"
+            )));
+        }
+        let at =
+            |first: &Diagnostic, finding: ImportFinding| Diagnostic::line(file, first.line_number(), finding);
+        let above = above.map(|LinesAside { lines, first }| at(&first, ImportFinding::LinesAbove { lines }));
+        let below = below.map(|LinesAside { lines, first }| {
+            let cut_off = lines == 1 && !table.ends_with_line();
+            at(&first, if cut_off { ImportFinding::CutOff } else { ImportFinding::LinesBelow { lines } })
+        });
+        let missing = missing
+            .map(|first| at(&first, ImportFinding::NoReading { rows, samples, percent: 100.0 * share }));
+        let is_reading = |found: &ImportFinding| matches!(found, ImportFinding::Readings { .. });
+        let range_mm = counts.range_mm.filter(|_| format.findings.iter().any(is_reading));
+        let other = range_mm.and_then(|range| other_unit(range, bar.length_mm));
+        let found = format.findings.iter().cloned().chain(other);
+        let found = found.map(|finding| Diagnostic::file(file, finding));
+        Ok((
+            counts,
+            table.findings().into_iter().chain(found).chain(above).chain(below).chain(missing).collect(),
+        ))
     }
 }
 
 impl TraceState<'_> {
-    fn row(&mut self, row: &TableRow<'_>, places: ColumnPlaces) -> Result<(HostNs, Sample), Diagnostic> {
-        let ns = self.time_ns(row, places.time)?;
+    fn line(&mut self, row: &TableRow<'_>) -> Result<TraceLine, Diagnostic> {
+        let places = &self.format.places;
+        let WrittenTime { ns, dated } = match self.time(row) {
+            Ok(time) => time,
+            // A number in another form is a fault of a row, a text or nothing is none of its rows.
+            Err(wrong) if places.time.is_some_and(|place| is_numeral(row.text(place))) => return Err(wrong),
+            Err(wrong) => return Ok(TraceLine::Aside(wrong)),
+        };
+        if let Err(short) = row.has(places.length) {
+            return Ok(TraceLine::Aside(short));
+        }
         let since = ns - self.first_ns.unwrap_or(ns);
         let host = match u64::try_from(since) {
             Ok(since) if since >= self.last.0 => HostNs(since),
             _ => return Err(row.wrong(places.time.unwrap_or(0), ImportFinding::TimeGoesBack)),
         };
-        let reading_mm = self.reading_mm(row, places.length)?;
-        let [low, high] = self.bar.stroke_mm;
-        let sample = Sample {
-            trigger: flag(row, places.strobe)?,
-            temperature_c: places.temperature.map(|place| row.number(place)).transpose()?,
-            valid: flag(row, places.valid)?.unwrap_or(true) && (low..=high).contains(&reading_mm),
-            offset: row.offset(),
-            ..Sample::of(reading_mm)
+        let reading = self.format.reading_mm(row);
+        let sample = match &reading {
+            Ok(reading_mm) => {
+                let [low, high] = self.bar.stroke_mm;
+                let valid = flag(row, places.valid, self.mapping.valid.as_ref())?.unwrap_or(true);
+                Sample {
+                    trigger: flag(row, places.strobe, self.mapping.strobe.as_ref())?,
+                    temperature_c: places.temperature.map(|place| row.number(place)).transpose()?,
+                    valid: valid && (low..=high).contains(reading_mm),
+                    ..Sample::of(*reading_mm)
+                }
+            }
+            Err(wrong) if is_numeral(row.text(places.length)) && !is_far(wrong) => return Err(wrong.clone()),
+            // The other cells of such a row are as a rule empty too.
+            Err(wrong) => {
+                self.missing.get_or_insert_with(|| wrong.clone());
+                self.counts.missing += 1;
+                Sample { valid: false, temperature_c: None, ..self.last_sample }
+            }
         };
-        if self.first_ns.is_none() && self.time == Some(TraceTimeUnit::Iso) && places.time.is_some() {
+        let sample = Sample { offset: row.offset(), ..sample };
+        if self.first_ns.is_none() && dated {
             self.counts.unix_ns = u64::try_from(ns).unwrap_or(0);
         }
         self.first_ns.get_or_insert(ns);
-        self.counts.add(reading_mm, host.seconds_since(self.last));
-        self.last = host;
+        self.counts.add(reading.ok(), host.seconds_since(self.last));
+        (self.last, self.last_sample) = (host, sample);
         self.counts.samples += 1;
         self.counts.invalid += u64::from(!sample.valid);
-        Ok((host, sample))
+        Ok(TraceLine::Sample(host, sample))
     }
 
-    fn time_ns(&mut self, row: &TableRow<'_>, place: Option<usize>) -> Result<i128, Diagnostic> {
-        let Some(place) = place else {
+    /// The time of a row.
+    fn time(&mut self, row: &TableRow<'_>) -> Result<WrittenTime, Diagnostic> {
+        let Some(place) = self.format.places.time else {
             let rate_hz = self.mapping.time.rate_hz.unwrap_or(1.0);
-            return Ok((self.counts.samples as f64 * 1e9 / rate_hz).round() as i128);
+            let ns = (self.counts.samples as f64 * 1e9 / rate_hz).round() as i128;
+            return Ok(WrittenTime { ns, dated: false });
         };
-        row.has(place)?;
-        let field = row.text(place);
-        let dated = date::unix_ns(field);
-        let shown = if dated.is_some() { TraceTimeUnit::Iso } else { TraceTimeUnit::S };
-        match *self.time.get_or_insert(shown) {
-            TraceTimeUnit::Iso => {
-                dated.ok_or_else(|| row.wrong(place, ImportFinding::NotADate { field: field.into() }))
-            }
-            unit @ (TraceTimeUnit::S | TraceTimeUnit::Ms | TraceTimeUnit::Us | TraceTimeUnit::Ns) => {
-                Ok((row.number(place)? * unit.ns()).round() as i128)
-            }
+        let time = self.format.time(row, place)?;
+        if time.dated || !self.format.is_of_day() {
+            return Ok(time);
         }
+        // A time of the day that goes back by most of a day passed midnight.
+        let since_ns = time.ns + self.midnights_ns - self.first_ns.unwrap_or(time.ns);
+        if since_ns < i128::from(self.last.0) - DAY_NS / 2 {
+            self.midnights_ns += DAY_NS;
+        }
+        Ok(WrittenTime { ns: time.ns + self.midnights_ns, ..time })
     }
+}
 
-    fn reading_mm(&mut self, row: &TableRow<'_>, place: usize) -> Result<f64, Diagnostic> {
-        let bar_mm = self.bar.length_mm;
-        let most_mm = FAR_OFF * bar_mm;
-        let value_mm = row.number(place)? * self.mapping.length.unit.mm();
-        let shown = if value_mm.abs() <= most_mm { LengthKind::Reading } else { LengthKind::Distance };
-        let (reading_mm, finding) = match *self.kind.get_or_insert(shown) {
-            LengthKind::Distance => (value_mm - bar_mm, ImportFinding::NoLengthOfBar { value_mm, bar_mm }),
-            LengthKind::Reading => (value_mm, ImportFinding::NoReadingOfBar { value_mm, bar_mm }),
-        };
-        if reading_mm.abs() > most_mm {
-            return Err(row.wrong(place, finding));
-        }
-        Ok(reading_mm)
-    }
+/// Whether a text that is no number here consists of digits and marks, as a number of another form.
+fn is_numeral(text: &str) -> bool {
+    let is_mark = |c: char| c.is_ascii_digit() || matches!(c, '.' | ',' | '+' | '-' | '\'' | ' ');
+    text.contains(|c: char| c.is_ascii_digit()) && text.chars().all(is_mark)
+}
+
+/// Whether a reading is a number that is far from every length of the bar.
+fn is_far(wrong: &Diagnostic) -> bool {
+    matches!(
+        wrong.finding(),
+        Some(ImportFinding::NoLengthOfBar { .. } | ImportFinding::NoReadingOfBar { .. })
+    )
 }
 
 /// Whether readings are lengths of the bar in another unit.
@@ -251,12 +315,19 @@ fn other_unit([low, high]: [f64; 2], bar_mm: f64) -> Option<ImportFinding> {
     Some(ImportFinding::OtherUnit { low, high, unit, bar_mm })
 }
 
-fn flag(row: &TableRow<'_>, place: Option<usize>) -> Result<Option<bool>, Diagnostic> {
+fn flag(
+    row: &TableRow<'_>,
+    place: Option<usize>,
+    column: Option<&FlagColumn>,
+) -> Result<Option<bool>, Diagnostic> {
     let Some(place) = place else { return Ok(None) };
     row.has(place)?;
-    match row.text(place).to_ascii_lowercase().as_str() {
-        "1" | "true" | "on" => Ok(Some(true)),
-        "0" | "false" | "off" => Ok(Some(false)),
-        field => Err(row.wrong(place, ImportFinding::NotAFlag { field: field.into() })),
+    if let Some(threshold) = column.and_then(|column| column.threshold) {
+        return row.number(place).map(|value| Some(value >= threshold));
+    }
+    match row.whole_text(place).to_ascii_lowercase().as_str() {
+        "1" | "true" | "on" | "high" | "yes" => Ok(Some(true)),
+        "0" | "false" | "off" | "low" | "no" => Ok(Some(false)),
+        _ => Err(row.wrong(place, ImportFinding::NotAFlag { field: row.text(place).into() })),
     }
 }
