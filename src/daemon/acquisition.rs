@@ -19,7 +19,7 @@ use super::schedule::{ALARM_SHARE, Schedule};
 use super::session::{self, BarPolling};
 use crate::live::ServiceFinding;
 use dbbd_device::clock;
-use dbbd_device::port::{self, Arrival, Port, PortAddress, PortReader, Received};
+use dbbd_device::port::{self, Arrival, Port, PortAddress, PortDevice, PortReader, Received};
 use dbbd_device::protocol::{ProtocolDefinition, ProtocolMode};
 use dbbd_device::sync::lock;
 use dbbd_job::recording::RecordingFinding;
@@ -144,13 +144,21 @@ impl Acquisition {
         let shared = Arc::new(AcquisitionShared {
             progress: Mutex::default(),
             notes: Mutex::new(Some(Vec::new())),
-            findings: Mutex::default(),
+            findings: Mutex::new(port.finding().into_iter().map(Diagnostic::new).collect()),
             stop,
         });
         let identity = port::identity(&options.port);
+        let device = PortDevice::behind(&identity);
         let telegrams = options.controller.ekrl.take().map(|server| TelegramRecorder::new(server, schedule));
-        let run =
-            RecorderThread { options, identity, recorder, telegrams, shared: Arc::clone(&shared), began };
+        let run = RecorderThread {
+            options,
+            identity,
+            device,
+            recorder,
+            telegrams,
+            shared: Arc::clone(&shared),
+            began,
+        };
         let recorder = std::thread::Builder::new()
             .name("recorder".into())
             .spawn(move || run.record(port))
@@ -217,6 +225,8 @@ struct RecorderThread {
     options: AcquisitionOptions,
     /// The address under which the port is opened again.
     identity: PortAddress,
+    /// The device that was behind it first.
+    device: Option<PortDevice>,
     recorder: Recorder,
     telegrams: Option<TelegramRecorder>,
     shared: Arc<AcquisitionShared>,
@@ -408,6 +418,7 @@ impl RecorderThread {
     fn reopen(&mut self, since: HostNs) -> Result<Result<OpenedBar, EndReason>, Diagnostic> {
         let mut backoff = 0.1;
         let mut next = 0.0;
+        let mut warned = None;
         loop {
             self.record_controller(BarLineState::Idle)?;
             self.publish()?;
@@ -417,6 +428,7 @@ impl RecorderThread {
             let away = clock::now().seconds_since(since);
             if away >= next {
                 if self.identity.may_return()
+                    && self.is_same_device(&mut warned)?
                     && let Ok(opened) = session::open_bar(&self.identity, &self.options.definition)
                 {
                     return Ok(Ok(opened));
@@ -429,6 +441,23 @@ impl RecorderThread {
             }
             clock::sleep(0.02);
         }
+    }
+
+    /// Whether the name of the port is still that of the bar's device. Another one is reported, unless it was the last
+    /// time.
+    fn is_same_device(&mut self, warned: &mut Option<PortDevice>) -> Result<bool, Diagnostic> {
+        let now = PortDevice::behind(&self.identity);
+        let Some((began, now)) = self.device.as_ref().zip(now).filter(|(began, now)| !began.may_be(now))
+        else {
+            return Ok(true);
+        };
+        if warned.as_ref() != Some(&now) {
+            let finding = now.instead_of(began, &self.identity.to_string());
+            self.recorder.event(clock::now(), RunEvent::Mark { text: finding.to_string() })?;
+            lock(&self.shared.findings).push(finding.into());
+            *warned = Some(now);
+        }
+        Ok(false)
     }
 
     fn publish_findings(&mut self) {

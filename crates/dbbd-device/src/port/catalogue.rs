@@ -83,9 +83,9 @@ findings! {
             ServerCloses { port: String, said: String } => "{port} closes the connection at once: `{said}`", help: "another program may use the line";
         }
         E0233 "the server does not speak RFC 2217",
-        cause: "The line is a raw one, or its server lets nobody set it.",
-        cure: "Use `tcp://` and set rate and bits at the server, or allow RFC 2217 (ser2net: `telnet(rfc2217)`)." {
-            NotRfc2217 { port: String } => "{port} does not speak RFC 2217", help: "try tcp:// in place of rfc2217://";
+        cause: "The line is a raw one or one of plain telnet, or its server lets nobody set it.",
+        cure: "Set rate and bits at the server and use `tcp://`, which reads raw lines and telnet; or allow RFC 2217 (ser2net: `telnet(rfc2217)`)." {
+            NotRfc2217 { port: String } => "{port} does not speak RFC 2217", help: "set rate and bits at the server, and use tcp:// in place of rfc2217://: it reads raw lines and plain telnet";
         }
         E0234 "the serial server does not take a setting of the line",
         cause: "The server or the adapter behind it cannot do this rate, or its administrator has fixed it.",
@@ -96,6 +96,16 @@ findings! {
         cause: "Bytes are stamped when they reach this computer; network and serial server delay them by a varying time.",
         cure: "Nothing to do for dwells. For a motion without stops use a bar with a clock of its own, or a serial port of this computer." {
             NetworkBlurs { port: String } => "{port}: the host's times are those of the arrival over the network; a bar with its own clock is not affected";
+        }
+        I0241 "the serial server speaks telnet",
+        cause: "The server began with the negotiation of telnet, which doubles each byte 255 of the bar.",
+        cure: "Nothing to do: dbbd speaks telnet on this line. `rfc2217://` would also set its rate; a raw line (ser2net: `tcp`, without `telnet`) has less to go wrong." {
+            SpeaksTelnet { port: String } => "{port} speaks telnet: doubled bytes are undone; rate and bits are those of the server";
+        }
+        W0227 "the port's name is another device now",
+        cause: "Adapters without a serial number of their own share one name `by-id/..`. The bar's adapter went away, and the name passed to another one.",
+        cure: "Plug the bar's adapter into the same socket again. Name it by `by-path/..` (`dbbd ports`, `ls -l /dev/serial/by-path`), which stays with the socket." {
+            OtherDevice { port: String, began: String, now: String } => "{port} is {now} now, and was {began} when the run began: it is not opened, for it may be another bar";
         }
         W0220 "the port stayed away",
         cause: "The bar was unplugged or switched off during the run, and did not come back in time.",

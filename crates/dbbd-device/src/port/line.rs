@@ -22,6 +22,11 @@ pub(super) trait PortLine: Send {
     fn is_simulated(&self) -> bool {
         false
     }
+
+    /// Whether the server of a raw line turned out to speak telnet.
+    fn is_plain_telnet(&self) -> bool {
+        false
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -21,7 +21,7 @@ use crate::clock;
 use crate::port::PortFinding::{NoPort, PortGone, PortRefused};
 use line::PortLine;
 
-pub use adapter::{blur, identity};
+pub use adapter::{PortDevice, blur, identity};
 pub use address::{NetworkAddress, PortAddress};
 pub use line::{LineTransport, StampAccuracy};
 pub use list::{PortInfo, list_ports};
@@ -62,6 +62,11 @@ impl Port {
     /// Whether the bar is a simulated one: whether it has sent the mark by now.
     pub fn is_simulated(&self) -> bool {
         self.line.is_simulated()
+    }
+
+    /// What opening the line has shown.
+    pub fn finding(&self) -> Option<PortFinding> {
+        self.line.is_plain_telnet().then(|| PortFinding::SpeaksTelnet { port: self.name.clone() })
     }
 
     pub fn stamps(&self) -> StampAccuracy {

@@ -38,6 +38,8 @@ pub(super) struct NetworkLine {
 struct NetworkShared {
     /// `None` for raw TCP.
     telnet: Option<Telnet>,
+    /// Whether no byte was received yet.
+    is_new: bool,
     /// Bytes received while waiting for something else.
     early: VecDeque<u8>,
 }
@@ -102,7 +104,11 @@ impl NetworkLine {
                 Ok(stream) => {
                     let held_ms = Some(1e3 * clock::now().seconds_since(began));
                     prepare(&stream).map_err(away)?;
-                    let shared = Arc::new(Mutex::new(NetworkShared { telnet: None, early: VecDeque::new() }));
+                    let shared = Arc::new(Mutex::new(NetworkShared {
+                        telnet: None,
+                        is_new: true,
+                        early: VecDeque::new(),
+                    }));
                     return Ok(Self { stream, shared, stamps: StampAccuracy { transport, held_ms } });
                 }
                 Err(error) => last = error,
@@ -135,6 +141,7 @@ impl NetworkLine {
             // Unix reports a read timeout as `WouldBlock`.
             if error.kind() == ErrorKind::WouldBlock { ErrorKind::TimedOut.into() } else { error }
         })?;
+        self.greet(&room[..count])?;
         let received = match &mut self.shared().telnet {
             Some(telnet) if count > 0 => telnet.receive(&room[..count]),
             _ => return Ok(count),
@@ -142,6 +149,17 @@ impl NetworkLine {
         self.stream.write_all(&received.reply)?;
         room[..received.data.len()].copy_from_slice(&received.data);
         if received.data.is_empty() { Err(ErrorKind::Interrupted.into()) } else { Ok(received.data.len()) }
+    }
+
+    /// Speaks telnet from here on if the first bytes are the greeting of such a server: it doubles each 255 of the bar.
+    fn greet(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let is_first = !bytes.is_empty() && std::mem::take(&mut self.shared().is_new);
+        if is_first && self.shared().telnet.is_none() && Telnet::is_greeting(bytes) {
+            let (telnet, greeting) = Telnet::new(TelnetSide::PlainClient);
+            self.stream.write_all(&greeting)?;
+            self.shared().telnet = Some(telnet);
+        }
+        Ok(())
     }
 
     /// Waits for an answer of telnet; `None` if it is late.
@@ -256,5 +274,9 @@ impl PortLine for NetworkLine {
 
     fn stamps(&self) -> StampAccuracy {
         self.stamps
+    }
+
+    fn is_plain_telnet(&self) -> bool {
+        self.stamps.transport == LineTransport::Tcp && self.shared().telnet.is_some()
     }
 }

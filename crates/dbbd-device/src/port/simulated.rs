@@ -101,6 +101,10 @@ impl PortLine for UnmarkedLine {
     fn is_simulated(&self) -> bool {
         self.is_simulated.load(Ordering::Relaxed)
     }
+
+    fn is_plain_telnet(&self) -> bool {
+        self.line.is_plain_telnet()
+    }
 }
 
 #[cfg(test)]

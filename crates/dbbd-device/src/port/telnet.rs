@@ -31,6 +31,8 @@ const ANSWER: u8 = 100;
 pub enum TelnetSide {
     Client,
     Server,
+    /// A client that only exchanges bytes: it leaves the line as the server has it.
+    PlainClient,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -69,14 +71,12 @@ pub struct TelnetReceived {
 impl Telnet {
     /// Creates one end of a connection, and the greeting that it sends first.
     pub fn new(side: TelnetSide) -> (Self, Vec<u8>) {
-        let com_port = if side == TelnetSide::Client { WILL } else { DO };
-        let sent = vec![
-            (WILL, BINARY),
-            (DO, BINARY),
-            (WILL, SUPPRESS_GO_AHEAD),
-            (DO, SUPPRESS_GO_AHEAD),
-            (com_port, COM_PORT),
-        ];
+        let mut sent = vec![(WILL, BINARY), (DO, BINARY), (WILL, SUPPRESS_GO_AHEAD), (DO, SUPPRESS_GO_AHEAD)];
+        match side {
+            TelnetSide::Client => sent.push((WILL, COM_PORT)),
+            TelnetSide::Server => sent.push((DO, COM_PORT)),
+            TelnetSide::PlainClient => {}
+        }
         let greeting = sent.iter().flat_map(|(verb, option)| [IAC, *verb, *option]).collect();
         let telnet = Self {
             side,
@@ -88,6 +88,12 @@ impl Telnet {
             suspended: false,
         };
         (telnet, greeting)
+    }
+
+    /// Whether the first bytes of a connection are those of a telnet server: a verb with an option.
+    pub(crate) fn is_greeting(first: &[u8]) -> bool {
+        // The options of RFC 855 to 4777 end at 49.
+        matches!(first, [IAC, WILL | WONT | DO | DONT, 0..=49, ..])
     }
 
     /// Data with each IAC doubled.
@@ -164,7 +170,7 @@ impl Telnet {
         let before = self.sent.iter().position(|sent| *sent == (mine, option));
         match (yes, before) {
             (true, Some(_)) | (false, None) => {}
-            (true, None) if SUPPORTED.contains(&option) => {
+            (true, None) if self.supports(option) => {
                 self.sent.push((mine, option));
                 received.reply.extend([IAC, mine, option]);
             }
@@ -174,6 +180,10 @@ impl Telnet {
                 received.reply.extend([IAC, refusal, option]);
             }
         }
+    }
+
+    fn supports(&self, option: u8) -> bool {
+        SUPPORTED.contains(&option) && (option != COM_PORT || self.side != TelnetSide::PlainClient)
     }
 
     fn subnegotiated(&mut self, received: &mut TelnetReceived) {
@@ -237,6 +247,21 @@ mod tests {
         assert_eq!(client.com_port(), Some(false));
         // The agreement is taken back, and echo is refused.
         assert_eq!(received.reply, [IAC, WONT, COM_PORT, IAC, DONT, 1]);
+    }
+
+    /// The greeting of ser2net: it offers to suppress go-ahead and binary data, and asks for binary data.
+    #[test]
+    fn plain_telnet_agrees_on_bytes_and_refuses_the_rest() {
+        let server = [IAC, WILL, 3, IAC, WILL, 0, IAC, DO, 0, IAC, DO, COM_PORT, IAC, WILL, 1, 7];
+        assert!(Telnet::is_greeting(&server));
+        for other in [&[][..], &[IAC, WILL], &[IAC, IAC, 3], &[1, IAC, WILL, 3], &[IAC, DO, 200]] {
+            assert!(!Telnet::is_greeting(other), "{other:?}");
+        }
+        let (mut client, greeting) = Telnet::new(TelnetSide::PlainClient);
+        assert_eq!(greeting, [IAC, WILL, 0, IAC, DO, 0, IAC, WILL, 3, IAC, DO, 3]);
+        let received = client.receive(&server);
+        assert_eq!(received.reply, [IAC, WONT, COM_PORT, IAC, DONT, 1]);
+        assert_eq!(received.data, [7]);
     }
 
     proptest! {
