@@ -308,7 +308,7 @@ fn run_warnings(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<PortFin
     const FEW_IN: u64 = 100;
     let AcquisitionSummary { ending, progress, .. } = *summary;
     let RunCounts { missing, lost_bytes, gaps, .. } = progress.counts;
-    let RunProgress { counts, silent_s, stood_still_s, .. } = progress;
+    let RunProgress { counts, silent_s, stood_still_s, other_unit, .. } = progress;
     let valid = counts.samples.saturating_sub(progress.invalid);
     let found = [
         (
@@ -316,7 +316,11 @@ fn run_warnings(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<PortFin
             PortFinding::StayedAway { port: args.port.to_string(), gone_s: args.gone },
         ),
         (counts.bytes == 0, PortFinding::NothingReceived),
-        (counts.bytes > 0 && !counts.in_step && counts.rejected == 0, PortFinding::NotThisProtocol),
+        (
+            counts.bytes > 0 && !counts.in_step && counts.rejected == 0 && other_unit == 0,
+            PortFinding::NotThisProtocol,
+        ),
+        (other_unit > 0, PortFinding::OtherUnit { readings: other_unit }),
         (counts.samples == 0 && counts.rejected > 0, PortFinding::NoLength { refusals: counts.rejected }),
         (counts.samples > FEW_IN * valid, PortFinding::FewValid { valid, samples: counts.samples }),
         (silent_s > 0.0, PortFinding::FellSilent { silent_s, gaps }),

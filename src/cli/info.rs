@@ -233,6 +233,7 @@ pub(crate) fn fault_word(kind: &LineFaultKind) -> &'static str {
         LineFaultKind::Check => "check",
         LineFaultKind::TooLong => "too_long",
         LineFaultKind::Content => "content",
+        LineFaultKind::OtherUnit => "other_unit",
         LineFaultKind::Reject(_) => "reject",
         LineFaultKind::Ignored => "ignored",
     }

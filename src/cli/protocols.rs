@@ -65,7 +65,8 @@ fn check_definition(
 ) -> Result<CommandOutcome, Diagnostic> {
     let definition = read_protocol_file(file, params)?;
     let table: Option<toml::Table> = definition.text.parse().ok();
-    if table.as_ref().is_some_and(|table| !table.contains_key("test")) {
+    let has_tests = table.as_ref().is_some_and(|table| table.contains_key("test"));
+    if !has_tests {
         out.finding(Diagnostic::file(file.display(), ProtocolFinding::NoTests));
     }
     let same_id = ProtocolDefinition::built_in().iter().find(|(id, _)| *id == definition.id);
@@ -74,7 +75,8 @@ fn check_definition(
         out.finding(Diagnostic::file(file.display(), ProtocolFinding::IdOfBuiltIn { id }));
     }
     out.document(&summary(&definition))?;
-    out.result(format!("{}: `{}` is sound; its test vectors pass", file.display(), definition.id));
+    let tests = if has_tests { "its test vectors pass" } else { "it has no test vectors" };
+    out.result(format!("{}: `{}` is sound; {tests}", file.display(), definition.id));
     Ok(CommandOutcome::Done)
 }
 

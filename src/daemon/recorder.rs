@@ -62,6 +62,8 @@ pub struct RunProgress {
     pub counts: RunCounts,
     /// Samples that the device flags as invalid.
     pub invalid: u64,
+    /// Readings with a number of decimals of another unit.
+    pub other_unit: u64,
     /// Whether the device flags the last reading as valid.
     pub valid: bool,
     /// Time in which the line was watched and nothing came for more than a second, or the port was absent.
@@ -570,7 +572,8 @@ impl Recorder {
 
     /// Replies so far: samples and refusals.
     pub(super) fn answers(&self) -> u64 {
-        self.progress.counts.samples + self.progress.counts.rejected
+        let RunProgress { counts, other_unit, .. } = &self.progress;
+        counts.samples + counts.rejected + other_unit
     }
 
     /// The line was idle for long enough to end a frame.
@@ -603,6 +606,10 @@ impl Recorder {
                     match fault.kind {
                         LineFaultKind::Ignored => {}
                         LineFaultKind::Reject(_) => self.progress.counts.rejected += 1,
+                        LineFaultKind::OtherUnit => {
+                            self.progress.other_unit += 1;
+                            self.progress.counts.faults += 1;
+                        }
                         LineFaultKind::Framing
                         | LineFaultKind::Check
                         | LineFaultKind::TooLong

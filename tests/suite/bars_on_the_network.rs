@@ -8,6 +8,9 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 
 use dbbd_device::clock;
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_model::base::units::DeviceTicks;
+use dbbd_model::measurement::sample::Sample;
 
 use crate::cell::{codes, stderr};
 use crate::process::dbbd;
@@ -107,6 +110,69 @@ fn the_simulator_serves_each_transport() {
     }
 }
 
+/// ser2net without RFC 2217: it greets with telnet, and doubles each 255 of the bar; negative lengths have many.
+#[test]
+fn plain_telnet_is_spoken_where_the_server_begins_it() {
+    let encoder = ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap().encoder();
+    let port = server(move |mut client| {
+        client.write_all(&[255, 251, 3, 255, 251, 0, 255, 253, 0]).unwrap();
+        for sequence in 0..65536u32 {
+            let reading_mm = if sequence % 3 == 0 { 0.25 } else { -0.12345 };
+            let (sequence, ticks) = (Some(sequence), Some(DeviceTicks(5000 * u64::from(sequence))));
+            let sample = Sample {
+                sequence,
+                ticks,
+                trigger: Some(false),
+                temperature_c: Some(21.5),
+                status: 1,
+                ..Sample::of(reading_mm)
+            };
+            let mut frame = Vec::new();
+            encoder.encode(&sample, &mut frame).unwrap();
+            let doubled =
+                frame.iter().flat_map(|&byte| std::iter::repeat_n(byte, if byte == 255 { 2 } else { 1 }));
+            if client.write_all(&doubled.collect::<Vec<u8>>()).is_err() {
+                return;
+            }
+            clock::sleep(0.001);
+        }
+    });
+    let directory = tempfile::tempdir().unwrap();
+    let run = acquire(directory.path(), &format!("tcp://127.0.0.1:{port}"), "2", &[]);
+    is_whole(&run, "tcp");
+    assert_eq!(codes(&run.output), [BLURS, "I0241"]);
+    assert!(run.faults.iter().all(|(_, kind, _)| kind != "check"), "{:?}", run.faults);
+}
+
+/// The key mm/inch of a gauge: 0.12345 inches are not 0.12345 mm.
+#[test]
+fn readings_in_another_unit_are_refused() {
+    for (unit, expected) in [("mm", [0.123, 3.136]), ("inch", [3.13563, 3.135884])] {
+        let port = server(|mut client| {
+            for reading in ["01A+0000.123\r", "01A+0003.136\r", "01A+00.12345\r", "01A+00.12346\r"] {
+                clock::sleep(0.3);
+                if client.write_all(reading.as_bytes()).is_err() {
+                    return;
+                }
+            }
+            clock::sleep(5.0);
+        });
+        let address = format!("tcp://127.0.0.1:{port}");
+        let directory = tempfile::tempdir().unwrap();
+        let unit = format!("unit={unit}");
+        let run =
+            acquire(directory.path(), &address, "2", &["--protocol", "mitutoyo-push", "--param", &unit]);
+        let lengths: Vec<f64> = run.rows.iter().map(|row| row.sample.reading_mm).collect();
+        assert!(lengths.len() == 2, "{unit}: {lengths:?} {}", stderr(&run.output));
+        assert!(
+            lengths.iter().zip(expected).all(|(mm, expected)| (mm - expected).abs() < 1e-9),
+            "{lengths:?}"
+        );
+        assert!(codes(&run.output).contains(&"W0228".to_owned()), "{}", stderr(&run.output));
+        assert_eq!(run.output.status.code(), Some(3));
+    }
+}
+
 #[test]
 #[ignore = "needs pyserial: .ci/night"]
 fn pyserial_server_works() {
@@ -128,7 +194,7 @@ fn pyserial_server_works() {
 #[test]
 #[ignore = "needs ser2net: .ci/night"]
 fn ser2net_server_works() {
-    for (scheme, accepter) in [("tcp", "tcp"), ("rfc2217", "telnet(rfc2217),tcp")] {
+    for (scheme, accepter) in [("tcp", "tcp"), ("tcp", "telnet,tcp"), ("rfc2217", "telnet(rfc2217),tcp")] {
         let directory = tempfile::tempdir().unwrap();
         let bar = simulate(directory.path(), "1", &[]);
         let port = free_port();

@@ -149,6 +149,12 @@ findings! {
         cure: "`dbbd export` shows the time among the gaps, `dbbd sync` names the affected poses. Switch the saving of power off, close other programs, and measure again where poses are missing." {
             StoodStill { seconds: f64, gaps: u64 } => "this computer stood still for {seconds:.1} s in all ({gaps} gaps)";
         }
+        W0228 "the unit of the gauge was changed",
+        cause: "Readings came with another number of decimals than before, or than the gauge shows in the unit of the protocol: its key mm/inch was pressed.",
+        cure: "Set the gauge to the unit of the protocol, or the parameter `unit` of the protocol to that of the gauge, and measure again: these readings were refused.",
+        asks: [ProtocolParameter] {
+            OtherUnit { readings: u64 } => "{readings} readings have another number of decimals than the protocol states or than those before, and were refused: the unit of the gauge was probably changed (mm/inch)";
+        }
         W0280 "the bar is not seated",
         cause: "A ball lies on the rim of its cup or on a chip, so that the bar rocks at rest.",
         cure: "Take the bar off, wipe balls and cups, and mount it again until the page shows *stable*." {

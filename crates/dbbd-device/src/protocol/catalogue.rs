@@ -83,11 +83,14 @@ findings! {
             KeyType { key: String, why: String } => "`{key}`: {why}";
             SkipBytes => "skip needs `bytes`, at least 1";
             IntegerBits => "an integer needs `bits`: 8, 16, 24 or 32";
-            IntegerEndian => "an integer of several bytes needs `endian`: le or be";
-            FloatBits => "a float needs `bits`: 32 or 64, and `endian`: le or be";
+            IntegerEndian => "an integer of several bytes needs `endian`: le, be, cdab or badc";
+            WordOrder => "`endian` cdab and badc are orders of the two words of 32 bits";
+            FloatBits => "a float needs `bits`: 32 or 64, and `endian`: le, be, cdab or badc";
             BitsBits => "bits needs `bits`, 1 to 32";
             LiteralText => "lit needs `text`";
             DecimalWidth => "decimals must be at most 12, width and pad_to at most 32";
+            DecimalMark => "`decimal` must be \".\" or \",\"";
+            ReadDecimals => "`read_decimals` gives the fewest and the most decimals of each unit, as in mm = [2, 4]";
             BlankFill => "fill = \"blank\" needs blanks = true: what is written must be read";
             HexDigits => "hex needs `digits`, 1 to 8";
             MapWords => "map needs `map`: words and what they mean";
@@ -97,6 +100,7 @@ findings! {
             RoleWithoutValue => "a field without a value has no role";
             SequenceModulo { bits: u32 } => "seq needs `modulo`: from 2 to 2^{bits}";
             ClockKeys { bits: u32 } => "t_dev needs `tick_ns`, at least 1, and `wrap_bits`: 8 to {bits}";
+            ClockDecimals => "t_dev: `tick_ns` is the time of 1, and must be a whole number of nanoseconds for the last of its `decimals`";
             FlagBit { bit: String, highest: u32 } => "flag `{bit}` is not a bit of the field: 0 to {highest}";
             QualityRange => "quality needs `valid`: [lowest, highest], the lowest above 0";
             UnitKind => "a unit is a field of kind `map`";
@@ -146,7 +150,7 @@ findings! {
         cause: "The bytes of a [[test]] do not give what it expects: a key of the definition or the test is wrong.",
         cure: "Compare with what the bytes give, which the message says, and with the device's manual." {
             VectorHex => "rx is not pairs of hexadecimal digits";
-            VectorDiffers { got: String } => "the test's bytes give {got} here";
+            VectorDiffers { got: String } => "the test's bytes give {got}";
             VectorHasMore { got: String } => "the test's bytes give {got} that is not expected";
             VectorDoesNotSurvive => "the sample of this test does not survive writing and reading", help: "a field is too short, or has too few decimals, for what the device sends";
         }

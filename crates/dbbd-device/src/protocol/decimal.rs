@@ -20,9 +20,13 @@ pub(super) enum DecimalSign {
     Blank,
 }
 
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct DecimalFormat {
     pub(super) decimals: usize,
+    /// Fewest and most decimals that the device shows; a reading with others is in another unit.
+    pub(super) read_decimals: Option<[usize; 2]>,
+    /// The decimal mark, `.` or `,`.
+    pub(super) mark: u8,
     /// Number of characters with sign and point, for reading and writing.
     pub(super) width: Option<usize>,
     /// Least number of characters for writing.
@@ -33,9 +37,31 @@ pub(super) struct DecimalFormat {
     pub(super) blanks: bool,
 }
 
+impl Default for DecimalFormat {
+    fn default() -> Self {
+        Self {
+            decimals: 0,
+            read_decimals: None,
+            mark: b'.',
+            width: None,
+            pad_to: 0,
+            fill: DecimalFill::default(),
+            sign: DecimalSign::default(),
+            blanks: false,
+        }
+    }
+}
+
+/// Length of an exponent such as `E-01`; 0 without one.
+fn exponent_len(rest: &[u8]) -> usize {
+    let ([b'E' | b'e', b'+' | b'-', digits @ ..] | [b'E' | b'e', digits @ ..]) = rest else { return 0 };
+    let count = digits.iter().take(3).take_while(|byte| byte.is_ascii_digit()).count();
+    if count == 0 { 0 } else { rest.len() - digits.len() + count }
+}
+
 impl DecimalFormat {
-    /// The number at the start of `rest`, and the bytes after it.
-    pub(super) fn read<'a>(&self, rest: &'a [u8]) -> Option<(f64, &'a [u8])> {
+    /// The number at the start of `rest`, its number of decimals, and the bytes after it. It may have an exponent.
+    pub(super) fn read<'a>(&self, rest: &'a [u8]) -> Option<(f64, usize, &'a [u8])> {
         let blanks = |bytes: &[u8]| bytes.iter().take_while(|byte| **byte == b' ').count();
         let (field, tail) = match self.width {
             Some(width) => rest.split_at_checked(width)?,
@@ -44,8 +70,9 @@ impl DecimalFormat {
                 let sign = usize::from(matches!(rest.get(lead), Some(b'+' | b'-')));
                 let inner = if self.blanks { blanks(&rest[lead + sign..]) } else { 0 };
                 let start = lead + sign + inner;
-                let number = |byte: &&u8| byte.is_ascii_digit() || **byte == b'.';
-                rest.split_at(start + rest[start..].iter().take_while(number).count())
+                let number = |byte: &&u8| byte.is_ascii_digit() || **byte == self.mark;
+                let end = start + rest[start..].iter().take_while(number).count();
+                rest.split_at(end + exponent_len(&rest[end..]))
             }
         };
         let text = std::str::from_utf8(field).ok()?;
@@ -56,11 +83,21 @@ impl DecimalFormat {
             None => (false, text.strip_prefix('+').unwrap_or(text)),
         };
         let digits = if self.blanks { digits.trim_start_matches(' ') } else { digits };
-        if !digits.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.') {
+        let is_mantissa = |byte: u8| byte.is_ascii_digit() || byte == self.mark;
+        let mantissa = digits.bytes().take_while(|byte| is_mantissa(*byte)).count();
+        let (mantissa, exponent) = digits.split_at(mantissa);
+        if exponent_len(exponent.as_bytes()) != exponent.len() {
             return None;
         }
-        let value: f64 = digits.parse().ok().filter(|value: &f64| value.is_finite())?;
-        Some((if negative { -value } else { value }, tail))
+        let point = mantissa.bytes().position(|byte| byte == self.mark);
+        let value: f64 = match self.mark {
+            b'.' => digits.parse(),
+            mark => digits.replace(char::from(mark), ".").parse(),
+        }
+        .ok()
+        .filter(|value: &f64| value.is_finite())?;
+        let decimals = point.map_or(0, |point| mantissa.len() - point - 1);
+        Some((if negative { -value } else { value }, decimals, tail))
     }
 
     /// Appends a number; `None` if it does not fit.
@@ -68,7 +105,10 @@ impl DecimalFormat {
         if !value.is_finite() {
             return None;
         }
-        let digits = format!("{:.*}", self.decimals, value.abs());
+        let mut digits = format!("{:.*}", self.decimals, value.abs());
+        if self.mark != b'.' {
+            digits = digits.replace('.', char::from(self.mark).encode_utf8(&mut [0; 4]));
+        }
         let sign = match (value.is_sign_negative(), self.sign) {
             (true, _) => "-",
             (false, DecimalSign::Minus) => "",
@@ -93,6 +133,8 @@ mod tests {
 
     const PLAIN: DecimalFormat = DecimalFormat {
         decimals: 3,
+        read_decimals: None,
+        mark: b'.',
         width: None,
         pad_to: 0,
         fill: DecimalFill::Zero,
@@ -107,7 +149,7 @@ mod tests {
     }
 
     fn read(format: DecimalFormat, text: &str) -> Option<(f64, &str)> {
-        let (value, tail) = format.read(text.as_bytes())?;
+        let (value, _, tail) = format.read(text.as_bytes())?;
         Some((value, std::str::from_utf8(tail).ok()?))
     }
 
@@ -144,6 +186,33 @@ mod tests {
         assert_eq!(read(DecimalFormat { width: Some(5), ..PLAIN }, "1.5"), None);
         for wrong in ["", "-", "x", "1.2.3", "--1"] {
             assert_eq!(read(PLAIN, wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn exponents_and_decimal_commas_are_read() {
+        for (text, value, tail) in [
+            ("+1.25000000E-01", 0.125, ""),
+            ("-2.5e+1;", -25.0, ";"),
+            ("1E3", 1000.0, ""),
+            ("1.5E", 1.5, "E"),
+            ("1.5E+x", 1.5, "E+x"),
+        ] {
+            assert_eq!(read(PLAIN, text), Some((value, tail)), "{text}");
+        }
+        assert_eq!(read(DecimalFormat { width: Some(7), ..PLAIN }, "1.25E-1"), Some((0.125, "")));
+        assert_eq!(read(DecimalFormat { width: Some(7), ..PLAIN }, "1.25E-x"), None);
+        assert_eq!(read(PLAIN, "1E999"), None);
+        let comma = DecimalFormat { mark: b',', ..PLAIN };
+        assert_eq!(read(comma, "+0012,345 mm"), Some((12.345, " mm")));
+        assert_eq!((read(comma, "1,2,3"), read(comma, "1.5")), (None, Some((1.0, ".5"))));
+        assert_eq!(written(comma, -1.25).as_deref(), Some("-1,250"));
+    }
+
+    #[test]
+    fn decimals_of_a_number_are_counted() {
+        for (text, decimals) in [("+012.700", 3), ("+0.50000", 5), ("12", 0), ("12.", 0), ("1.25E-01", 2)] {
+            assert_eq!(PLAIN.read(text.as_bytes()).map(|read| read.1), Some(decimals), "{text}");
         }
     }
 

@@ -42,11 +42,39 @@ pub struct ProtocolDecoder {
     junk: Option<(LineFaultKind, u64)>,
     /// Buffer for unpacking frames.
     buffer: Vec<u8>,
+    decimals: DecimalsSeen,
+}
+
+/// Numbers of decimals of a device that shows always the same in one unit. Two readings in a row fix it: in one a digit may
+/// be lost.
+#[derive(Clone, Copy, Debug, Default)]
+struct DecimalsSeen {
+    last: Option<usize>,
+    fixed: Option<usize>,
+}
+
+impl DecimalsSeen {
+    /// Whether a reading has the number of decimals of those before.
+    fn is_as_before(&mut self, decimals: Option<usize>) -> bool {
+        if self.fixed.is_none() && decimals.is_some() && self.last == decimals {
+            self.fixed = decimals;
+        }
+        self.last = decimals;
+        self.fixed.is_none() || decimals.is_none() || self.fixed == decimals
+    }
 }
 
 impl ProtocolDecoder {
     pub(super) fn new(engine: Arc<ProtocolEngine>) -> Self {
-        Self { engine, frame: Vec::new(), offset: 0, discarded: 0, junk: None, buffer: Vec::new() }
+        Self {
+            engine,
+            frame: Vec::new(),
+            offset: 0,
+            discarded: 0,
+            junk: None,
+            buffer: Vec::new(),
+            decimals: DecimalsSeen::default(),
+        }
     }
 
     /// Number of bytes of the incomplete frame.
@@ -199,10 +227,10 @@ impl ProtocolDecoder {
         for start in 1..frame.len() {
             let rest = &frame[start..];
             if engine.framing.may_start(rest, checked)
-                && let Ok(MessageMeaning::Sample(sample)) = engine.meaning(rest, &mut self.buffer)
+                && let Ok(MessageMeaning::Sample(sample, decimals)) = engine.meaning(rest, &mut self.buffer)
             {
                 self.fault(kind, start as u64, out);
-                return self.accept(MessageMeaning::Sample(sample), rest.len() as u64, out);
+                return self.accept(MessageMeaning::Sample(sample, decimals), rest.len() as u64, out);
             }
         }
         self.fault(kind, frame.len() as u64, out);
@@ -210,10 +238,13 @@ impl ProtocolDecoder {
 
     fn accept(&mut self, meaning: MessageMeaning, bytes: u64, out: &mut Vec<DecodedItem>) {
         match meaning {
-            MessageMeaning::Sample(mut sample) => {
+            MessageMeaning::Sample(mut sample, decimals) if self.decimals.is_as_before(decimals) => {
                 sample.offset = self.offset;
                 out.push(DecodedItem::Sample(sample, bytes));
                 self.offset += bytes;
+            }
+            MessageMeaning::Sample(..) | MessageMeaning::OtherUnit => {
+                self.fault(LineFaultKind::OtherUnit, bytes, out);
             }
             MessageMeaning::Reject(word) => self.fault(LineFaultKind::Reject(word), bytes, out),
             MessageMeaning::Ignored => self.fault(LineFaultKind::Ignored, bytes, out),

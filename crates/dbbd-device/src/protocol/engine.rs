@@ -59,7 +59,10 @@ pub(super) struct RejectMessage {
 }
 
 pub(super) enum MessageMeaning {
-    Sample(Sample),
+    /// A sample, and the number of decimals of its reading if that is to stay the same.
+    Sample(Sample, Option<usize>),
+    /// A reading with a number of decimals that the device shows in another unit.
+    OtherUnit,
     Reject(String),
     Ignored,
 }
@@ -146,7 +149,7 @@ impl MessageFormat {
         {
             return None;
         }
-        let mut reading = SampleBuilder { sample: Sample::of(0.0), unit_mm: 1.0, refused: None };
+        let mut reading = SampleBuilder::default();
         let mut rest = content;
         for field in &self.fields {
             rest = field.read(rest, &mut reading)?;
@@ -154,11 +157,14 @@ impl MessageFormat {
         if !rest.is_empty() {
             return None;
         }
-        let SampleBuilder { mut sample, unit_mm, refused } = reading;
+        let SampleBuilder { mut sample, unit_mm, refused, decimals, is_other_unit } = reading;
+        if is_other_unit {
+            return Some(MessageMeaning::OtherUnit);
+        }
         if unit_mm != 1.0 {
             sample.reading_mm *= unit_mm;
         }
-        Some(refused.map_or(MessageMeaning::Sample(sample), MessageMeaning::Reject))
+        Some(refused.map_or(MessageMeaning::Sample(sample, decimals), MessageMeaning::Reject))
     }
 }
 

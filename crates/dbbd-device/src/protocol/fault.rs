@@ -46,6 +46,8 @@ pub enum LineFaultKind {
     TooLong,
     /// A frame with an intact check whose content has no meaning here.
     Content,
+    /// A reading with another number of decimals than before or than the device shows in the unit of the definition.
+    OtherUnit,
     /// The device reported that it has no reading, in its own words.
     Reject(String),
     /// An echo, a banner or another record that the definition ignores.

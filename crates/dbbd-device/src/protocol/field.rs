@@ -11,6 +11,10 @@ pub(super) enum Endian {
     #[default]
     Le,
     Be,
+    /// Words of two bytes, the lowest word first and in each word the highest byte first, as most Modbus devices have it.
+    Cdab,
+    /// Words of two bytes, the highest word first and in each word the lowest byte first.
+    Badc,
 }
 
 #[derive(Clone, Debug)]
@@ -161,6 +165,17 @@ pub(super) struct SampleBuilder {
     pub(super) unit_mm: f64,
     /// The device's message that it has no reading.
     pub(super) refused: Option<String>,
+    /// Number of decimals of the reading, if it is to stay the same.
+    pub(super) decimals: Option<usize>,
+    /// Whether the device shows that many in another unit only.
+    pub(super) is_other_unit: bool,
+}
+
+impl Default for SampleBuilder {
+    fn default() -> Self {
+        let sample = Sample::of(0.0);
+        Self { sample, unit_mm: 1.0, refused: None, decimals: None, is_other_unit: false }
+    }
 }
 
 /// quantity = (raw * numerator / denominator + offset) * unit, exact while raw * numerator < 2^53.
@@ -251,7 +266,7 @@ impl FieldForm {
                 Some((signed_value(value, *bits, *signed), if *last { tail } else { rest }))
             }
             FieldForm::Decimal(decimal) => {
-                decimal.read(rest).map(|(value, tail)| (RawValue::Real(value), tail))
+                decimal.read(rest).map(|(value, _, tail)| (RawValue::Real(value), tail))
             }
             FieldForm::Hex { digits, signed } => {
                 let (field, tail) = rest.split_at_checked(*digits)?;
@@ -327,6 +342,8 @@ fn integer(field: &[u8], endian: Endian) -> u64 {
         (&[a, b, c, d], Endian::Le) => u32::from_le_bytes([a, b, c, d]).into(),
         (_, Endian::Le) => field.iter().rev().fold(0, fold),
         (_, Endian::Be) => field.iter().fold(0, fold),
+        (_, Endian::Cdab) => field.chunks(2).rev().flatten().fold(0, fold),
+        (_, Endian::Badc) => field.chunks(2).flat_map(|word| word.iter().rev()).fold(0, fold),
     }
 }
 
@@ -348,8 +365,15 @@ fn unsigned(value: f64, bits: u32, signed: bool) -> Option<u64> {
 fn bytes_of(value: u64, bytes: usize, endian: Endian, body: &mut Vec<u8>) {
     let at = body.len();
     body.extend(value.to_le_bytes().iter().take(bytes));
-    if endian == Endian::Be {
-        body[at..].reverse();
+    let swap_words = |body: &mut [u8]| body.chunks_mut(2).for_each(<[u8]>::reverse);
+    match endian {
+        Endian::Le => {}
+        Endian::Be => body[at..].reverse(),
+        Endian::Cdab => swap_words(&mut body[at..]),
+        Endian::Badc => {
+            body[at..].reverse();
+            swap_words(&mut body[at..]);
+        }
     }
 }
 
@@ -371,9 +395,20 @@ impl MessageField {
                 sample.reading_mm = scale.quantity(raw);
                 sample.valid &= limits.is_valid(raw);
                 reading.refused = limits.error(raw);
+                if let FieldForm::Decimal(decimal) = &self.form
+                    && let Some([min, max]) = decimal.read_decimals
+                {
+                    let (_, decimals, _) = decimal.read(rest)?;
+                    reading.decimals = Some(decimals);
+                    reading.is_other_unit = !(min..=max).contains(&decimals);
+                }
             }
             Some(FieldRole::Temperature(scale)) => sample.temperature_c = Some(scale.quantity(value.real())),
             Some(FieldRole::Sequence { .. }) => sample.sequence = Some(value.count()?),
+            Some(FieldRole::Ticks(_)) if self.form.step() < 1.0 => {
+                let ticks = RawValue::Real((value.real() / self.form.step()).round());
+                sample.ticks = Some(DeviceTicks(ticks.count()?));
+            }
             Some(FieldRole::Ticks(_)) => sample.ticks = Some(DeviceTicks(value.count()?)),
             Some(FieldRole::Status(flags)) => {
                 sample.status = value.count()?;
@@ -413,7 +448,7 @@ impl MessageField {
             }
             Some(FieldRole::Temperature(scale)) => scale.raw(sample.temperature_c?),
             Some(FieldRole::Sequence { .. }) => sample.sequence?.into(),
-            Some(FieldRole::Ticks(_)) => sample.ticks?.0 as f64,
+            Some(FieldRole::Ticks(_)) => sample.ticks?.0 as f64 * self.form.step(),
             Some(FieldRole::Status(flags)) => flags.status(sample).into(),
             Some(FieldRole::StatusWord(bits, _)) => {
                 let at = bits.iter().position(|bit| sample.status == 1 << bit);

@@ -215,8 +215,8 @@ impl Framing {
                 let Some(field) = pending.get(*at..at + bytes) else { return FrameCut::More };
                 let fold = |value: usize, byte: &u8| (value << 8) | usize::from(*byte);
                 let value = match endian {
-                    Endian::Be => field.iter().fold(0, fold),
-                    Endian::Le => field.iter().rev().fold(0, fold),
+                    Endian::Be | Endian::Cdab => field.iter().fold(0, fold),
+                    Endian::Le | Endian::Badc => field.iter().rev().fold(0, fold),
                 };
                 match value + adds {
                     len if len > *max_len || len < at + bytes => FrameCut::Skip,

@@ -2,7 +2,7 @@
 
 use super::engine::ProtocolEngine;
 use super::field::Endian;
-use super::field::{FieldForm, FieldRole, FieldScale, MessageField};
+use super::field::{FieldForm, FieldRole, FieldScale, MessageField, SampleBuilder};
 use super::framing::Framing;
 
 /// A field of a frame's content.
@@ -57,11 +57,39 @@ pub(super) fn frame(framing: &Framing) -> String {
     }
 }
 
+/// The first field that does not match an intact frame, of the message that matches furthest, and the bytes from there on.
+pub(super) fn mismatch(engine: &ProtocolEngine, frame: &[u8]) -> Option<String> {
+    let mut buffer = Vec::new();
+    let body = engine.framing.unwrap(frame, &mut buffer)?;
+    let content = match &engine.check {
+        Some(check) => check.strip(body)?,
+        None => body,
+    };
+    let stops = engine.messages.iter().map(|message| {
+        let mut reading = SampleBuilder::default();
+        let mut rest = content;
+        for (field, number) in message.fields.iter().zip(1..) {
+            match field.read(rest, &mut reading) {
+                Some(tail) => rest = tail,
+                None => {
+                    let name = if field.role.is_some() { field.name() } else { "no role" };
+                    return (rest, format!("its field {number} ({name}, {})", encoding(&field.form)));
+                }
+            }
+        }
+        (rest, "the end of its fields".to_owned())
+    });
+    let (rest, stop) = stops.min_by_key(|(rest, _)| rest.len())?;
+    Some(format!("{stop} does not match `{}`", rest.escape_ascii()))
+}
+
 fn encoding(form: &FieldForm) -> String {
     let order = |bytes: usize, endian: Endian| match (bytes, endian) {
         (1, _) => "",
         (_, Endian::Be) => ", highest byte first",
         (_, Endian::Le) => ", lowest byte first",
+        (_, Endian::Cdab) => ", lowest word first, in it the highest byte",
+        (_, Endian::Badc) => ", highest word first, in it the lowest byte",
     };
     let sense = |signed: bool| if signed { "int" } else { "uint" };
     match form {

@@ -5,10 +5,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::de::DeserializeOwned;
 
 use crate::protocol::ProtocolFinding::{
-    self, BitGroup, BitsBits, BlankFill, ClockKeys, ColumnSeparator, CountScale, DecimalWidth, FlagBit,
-    FloatBits, HexDigits, IntegerBits, IntegerEndian, KeyType, KeyWithoutMeaning, LengthUnit, LiteralText,
-    MapDefault, MapRole, MapWords, QualityRange, RoleWithoutValue, ScaleFactors, ScaleZero, SentinelNumber,
-    SequenceModulo, SkipBytes, TemperatureUnit, TooManyWords, UnitKind, UnitWithoutMm, UnitWords, ValidRange,
+    self, BitGroup, BitsBits, BlankFill, ClockDecimals, ClockKeys, ColumnSeparator, CountScale, DecimalMark,
+    DecimalWidth, FlagBit, FloatBits, HexDigits, IntegerBits, IntegerEndian, KeyType, KeyWithoutMeaning,
+    LengthUnit, LiteralText, MapDefault, MapRole, MapWords, QualityRange, ReadDecimals, RoleWithoutValue,
+    ScaleFactors, ScaleZero, SentinelNumber, SequenceModulo, SkipBytes, TemperatureUnit, TooManyWords,
+    UnitKind, UnitWithoutMm, UnitWords, ValidRange, WordOrder,
 };
 use crate::protocol::decimal::DecimalFill;
 use crate::protocol::decimal::DecimalFormat;
@@ -103,7 +104,8 @@ impl FieldKeys {
 
 pub(super) fn compile(table: &FieldTable) -> Result<MessageField, ProtocolFinding> {
     let mut keys = FieldKeys(table.keys.clone());
-    let (form, meanings) = form(table.kind, &mut keys)?;
+    let unit = table.keys.get("unit").and_then(toml::Value::as_str).unwrap_or_default();
+    let (form, meanings) = form(table.kind, &mut keys, unit)?;
     let role = table.role.map(|role| compile_role(role, &mut keys, &form, &meanings)).transpose()?;
     match keys.0.into_iter().next() {
         Some((key, _)) => Err(KeyWithoutMeaning { key }),
@@ -112,7 +114,11 @@ pub(super) fn compile(table: &FieldTable) -> Result<MessageField, ProtocolFindin
 }
 
 /// The form of a field, and the meanings of its words if it is a map.
-fn form(kind: FieldKind, keys: &mut FieldKeys) -> Result<(FieldForm, Vec<String>), ProtocolFinding> {
+fn form(
+    kind: FieldKind,
+    keys: &mut FieldKeys,
+    unit: &str,
+) -> Result<(FieldForm, Vec<String>), ProtocolFinding> {
     let form = match kind {
         FieldKind::Skip => match keys.take("bytes")? {
             Some(bytes @ 1..=LONGEST_FRAME) => FieldForm::Skip(bytes),
@@ -124,6 +130,7 @@ fn form(kind: FieldKind, keys: &mut FieldKeys) -> Result<(FieldForm, Vec<String>
                 _ => return Err(IntegerBits),
             };
             let endian = match keys.take("endian")? {
+                Some(Endian::Cdab | Endian::Badc) if bytes != 4 => return Err(WordOrder),
                 None if bytes > 1 => return Err(IntegerEndian),
                 endian => endian.unwrap_or_default(),
             };
@@ -150,7 +157,7 @@ fn form(kind: FieldKind, keys: &mut FieldKeys) -> Result<(FieldForm, Vec<String>
                 FieldForm::Literal { text: text.into_bytes(), any_case: keys.take_or_default("any_case")? }
             }
         },
-        FieldKind::Dec => decimal(keys)?,
+        FieldKind::Dec => decimal(keys, unit)?,
         FieldKind::Hex => match keys.take("digits")? {
             Some(digits @ 1..=8) => FieldForm::Hex { digits, signed: keys.take_or_default("signed")? },
             _ => return Err(HexDigits),
@@ -164,9 +171,23 @@ fn form(kind: FieldKind, keys: &mut FieldKeys) -> Result<(FieldForm, Vec<String>
     Ok((form, Vec::new()))
 }
 
-fn decimal(keys: &mut FieldKeys) -> Result<FieldForm, ProtocolFinding> {
+fn decimal(keys: &mut FieldKeys, unit: &str) -> Result<FieldForm, ProtocolFinding> {
+    let read: BTreeMap<String, FixedArray<usize, 2>> = keys.take_or_default("read_decimals")?;
+    if read.values().any(|FixedArray([min, max])| min > max) {
+        return Err(ReadDecimals);
+    }
+    let read_decimals = read.get(unit).map(|range| range.0);
+    let decimals: usize = keys.take_or_default("decimals")?;
+    let mark: Option<String> = keys.take("decimal")?;
     let decimal = DecimalFormat {
-        decimals: keys.take_or_default("decimals")?,
+        // What is written must be read.
+        decimals: read_decimals.map_or(decimals, |[min, max]| decimals.clamp(min, max)),
+        read_decimals,
+        mark: match mark.as_deref() {
+            None | Some(".") => b'.',
+            Some(",") => b',',
+            Some(_) => return Err(DecimalMark),
+        },
         width: keys.take("width")?,
         pad_to: keys.take_or_default("pad_to")?,
         fill: keys.take_or_default("fill")?,
@@ -248,12 +269,19 @@ fn compile_role(
             Some(modulo @ 2u32..) if u64::from(modulo) <= 1 << bits => FieldRole::Sequence { modulo },
             _ => return Err(SequenceModulo { bits }),
         },
-        RoleName::TDev => match (keys.take("tick_ns")?, keys.take("wrap_bits")?) {
-            (Some(tick_ns @ 1..), Some(wrap_bits)) if (8..=bits).contains(&wrap_bits) => {
-                FieldRole::Ticks(TickCounter { tick_ns, wrap_bits })
+        RoleName::TDev => {
+            // The last decimal is the tick.
+            let decimals = if let FieldForm::Decimal(decimal) = form { decimal.decimals } else { 0 };
+            let ticks = 10u32.checked_pow(decimals as u32).ok_or(ClockDecimals)?;
+            let bits = if ticks > 1 { 52 } else { bits };
+            match (keys.take("tick_ns")?, keys.take("wrap_bits")?) {
+                (Some(tick_ns @ 1u32..), _) if tick_ns % ticks != 0 => return Err(ClockDecimals),
+                (Some(tick_ns @ 1..), Some(wrap_bits)) if (8..=bits).contains(&wrap_bits) => {
+                    FieldRole::Ticks(TickCounter { tick_ns: tick_ns / ticks, wrap_bits })
+                }
+                _ => return Err(ClockKeys { bits }),
             }
-            _ => return Err(ClockKeys { bits }),
-        },
+        }
         RoleName::Status => {
             let mut flags = Vec::new();
             for (bit, name) in keys.take_or_default::<FieldWords>("flags")? {

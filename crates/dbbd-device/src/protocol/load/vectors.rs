@@ -6,6 +6,7 @@ use crate::protocol::ProtocolFinding::{VectorDiffers, VectorDoesNotSurvive, Vect
 use crate::protocol::decoder::DecodedItem;
 use crate::protocol::definition::ProtocolDefinition;
 use crate::protocol::fault::{LineFault, LineFaultKind};
+use crate::protocol::layout;
 use crate::protocol::source::DefinitionSource;
 use crate::protocol::source::hex_bytes;
 use dbbd_model::diagnostic::Diagnostic;
@@ -47,14 +48,14 @@ pub(super) fn run(
     // No more bytes follow.
     decoder.interrupt(&mut out);
     for (at, expectation) in expect.iter().enumerate() {
-        let got = out.get(at).map_or("nothing".into(), |decoded| describe(definition, decoded));
+        let got = out.get(at).map_or("nothing".into(), |decoded| describe(definition, decoded, &bytes));
         let met = out.get(at).is_some_and(|decoded| meets(definition, decoded, expectation.get_ref()));
         if !met {
             return Err(source.wrong(expectation.span(), VectorDiffers { got }));
         }
     }
     if let Some(more) = out.get(expect.len()) {
-        let more = describe(definition, more);
+        let more = describe(definition, more, &bytes);
         return Err(source.wrong(rx.span(), VectorHasMore { got: more }));
     }
     for decoded in &out {
@@ -118,6 +119,7 @@ fn meets(definition: &ProtocolDefinition, decoded: &DecodedItem, expected: &Expe
                 LineFaultKind::Framing
                 | LineFaultKind::Check
                 | LineFaultKind::TooLong
+                | LineFaultKind::OtherUnit
                 | LineFaultKind::Content => (None, Some(*bytes), None),
             };
             !of_sample && of_fault == fault
@@ -125,7 +127,8 @@ fn meets(definition: &ProtocolDefinition, decoded: &DecodedItem, expected: &Expe
     }
 }
 
-fn describe(definition: &ProtocolDefinition, decoded: &DecodedItem) -> String {
+/// What was decoded from `rx`, in the words of a test.
+fn describe(definition: &ProtocolDefinition, decoded: &DecodedItem, rx: &[u8]) -> String {
     match decoded {
         DecodedItem::Sample(sample, _) => {
             let flags = definition.flags(sample.status);
@@ -137,6 +140,12 @@ fn describe(definition: &ProtocolDefinition, decoded: &DecodedItem) -> String {
         DecodedItem::Fault(LineFault { kind: LineFaultKind::Ignored, bytes, .. }) => {
             format!("ignored = {bytes}")
         }
-        DecodedItem::Fault(LineFault { kind, bytes, .. }) => format!("resync = {bytes} ({kind:?})"),
+        DecodedItem::Fault(LineFault { kind, bytes, offset, .. }) => {
+            let frame = rx.get(*offset as usize..(*offset + *bytes) as usize).unwrap_or_default();
+            let is_content = *kind == LineFaultKind::Content;
+            let mismatch = is_content.then(|| layout::mismatch(&definition.engine, frame)).flatten();
+            let mismatch = mismatch.map_or(String::new(), |mismatch| format!(": {mismatch}"));
+            format!("resync = {bytes} ({kind:?}){mismatch}")
+        }
     }
 }

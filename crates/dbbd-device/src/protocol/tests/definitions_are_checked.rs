@@ -146,6 +146,22 @@ const REFUSED: &[Case] = &[
     ("nmea", "text = \"DBB,\"", "text = \"\"", "kind = \"lit\", text = \"\"", "E0307"),
     ("nmea", "decimals = 5", "decimals = 13", "decimals = 13", "E0307"),
     ("nd28x", "blanks = true", "blanks = false", "blanks = false", "E0307"),
+    ("nmea", "decimals = 5", "decimals = 5, decimal = ';'", "decimal = ';'", "E0307"),
+    ("opto", "mm = [2, 4]", "mm = [4, 2]", "mm = [4, 2]", "E0307"),
+    (
+        "nmea",
+        "\"dec\", role = \"t_dev\", tick_ns = 1000",
+        "\"dec\", decimals = 4, role = \"t_dev\", tick_ns = 1000",
+        "decimals = 4",
+        "E0307",
+    ),
+    (
+        "cobs",
+        "bits = 16, endian = \"le\", role = \"seq\"",
+        "bits = 16, endian = \"cdab\", role = \"seq\"",
+        "\"seq\"",
+        "E0307",
+    ),
     ("nmea", "digits = 2", "digits = 9", "digits = 9", "E0307"),
     (
         "nd28x",
@@ -273,4 +289,81 @@ fn encoder_writes_the_published_vectors() {
         definition.encoder().encode(&sample, &mut bytes).unwrap();
         assert_eq!(bytes, frame, "{name}");
     }
+}
+
+/// A definition with these keys of its message, its test bytes and the length that they mean.
+fn line_definition(fields: &str, rx: &str, expect: &str) -> String {
+    let rx: Vec<String> = rx.bytes().map(|byte| format!("{byte:02x}")).collect();
+    format!(
+        "schema = 1\nid = \"own\"\nconfidence = \"own\"\n[line]\nbaud = 9600\n\
+        [framing]\nkind = \"line\"\nend = [\"\\r\\n\"]\nmax_len = 40\n\
+        [[message]]\nname = \"value\"\nfields = [{fields}]\n\
+        [[test]]\nrx = \"{}\"\nexpect = [{expect}]\n",
+        rx.join(" ")
+    )
+}
+
+#[test]
+fn numbers_of_multimeters_german_gauges_and_microcontrollers_are_read() {
+    let length = "role = \"length\", unit = \"mm\"";
+    let clock = "{ kind = \"dec\", decimals = 6, role = \"t_dev\", tick_ns = 1000000000, wrap_bits = 40 }, \
+        { kind = \"lit\", text = \",\" }";
+    for (fields, rx, expect) in [
+        (
+            format!("{{ kind = \"dec\", decimals = 8, {length} }}"),
+            "+1.25000000E-01\r\n",
+            "{ length_mm = 0.125 }",
+        ),
+        (
+            format!(
+                "{{ kind = \"dec\", decimals = 3, decimal = \",\", {length} }}, {{ kind = \"lit\", text = \" mm\" }}"
+            ),
+            "+0012,345 mm\r\n",
+            "{ length_mm = 12.345 }",
+        ),
+        (
+            format!("{clock}, {{ kind = \"dec\", decimals = 4, {length} }}"),
+            "12.345600,0.5\r\n",
+            "{ t_dev_us = 12345600, length_mm = 0.5 }",
+        ),
+    ] {
+        let text = line_definition(&fields, rx, expect);
+        assert!(
+            ProtocolDefinition::from_toml("own.toml", &text).is_ok(),
+            "{rx}: {:?}",
+            ProtocolDefinition::from_toml("own.toml", &text).err()
+        );
+    }
+}
+
+/// 0x00012345 is 74565; by its two words and the bytes in them in each order.
+#[test]
+fn words_of_a_register_pair_come_in_each_order() {
+    for (endian, bytes) in
+        [("be", "00 01 23 45"), ("le", "45 23 01 00"), ("cdab", "23 45 00 01"), ("badc", "01 00 45 23")]
+    {
+        let text = format!(
+            "schema = 1\nid = \"own\"\nconfidence = \"own\"\n[line]\nbaud = 9600\n\
+            [framing]\nkind = \"fixed\"\nsync = \"aa\"\nlen = 5\n\
+            [[message]]\nname = \"value\"\nfields = [{{ kind = \"skip\", bytes = 1 }}, \
+            {{ kind = \"int\", bits = 32, endian = \"{endian}\", role = \"length\", unit = \"count\", per = 1000.0 }}]\n\
+            [[test]]\nrx = \"aa {bytes}\"\nexpect = [{{ length_mm = 74.565 }}]\n"
+        );
+        assert!(
+            ProtocolDefinition::from_toml("own.toml", &text).is_ok(),
+            "{endian}: {:?}",
+            ProtocolDefinition::from_toml("own.toml", &text).err()
+        );
+    }
+}
+
+/// The message says which field does not match, and at which bytes.
+#[test]
+fn vector_that_fails_names_the_field() {
+    let fields = "{ kind = \"dec\", decimals = 3, role = \"length\", unit = \"mm\" }, { kind = \"lit\", text = \" mm\" }";
+    let text = line_definition(fields, "+0012.345 in\r\n", "{ length_mm = 12.345 }");
+    let wrong = ProtocolDefinition::from_toml("own.toml", &text).unwrap_err();
+    assert_eq!(wrong.code().as_str(), "E0311");
+    let message = wrong.message();
+    assert!(message.contains("its field 2 (no role, \" mm\") does not match ` in`"), "{message}");
 }
