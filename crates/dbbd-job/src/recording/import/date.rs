@@ -6,13 +6,13 @@ use dbbd_model::base::date::days_since_1970;
 /// Which number of a date is the year, the month and the day.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum DateOrder {
-    YearFirst,
-    DayFirst,
-    MonthFirst,
+    YearMonthDay,
+    DayMonthYear,
+    MonthDayYear,
 }
 
 pub(super) const DATE_ORDERS: [DateOrder; 3] =
-    [DateOrder::YearFirst, DateOrder::DayFirst, DateOrder::MonthFirst];
+    [DateOrder::YearMonthDay, DateOrder::DayMonthYear, DateOrder::MonthDayYear];
 
 /// A time that was read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -295,15 +295,15 @@ impl<'a> TextCursor<'a> {
     fn date(&mut self, order: DateOrder, parts: &mut TimeParts) -> Option<()> {
         const MARKS: &str = "-/., ";
         let items = match order {
-            DateOrder::YearFirst => [FormatItem::Year, FormatItem::Month, FormatItem::Day],
-            DateOrder::DayFirst => [FormatItem::Day, FormatItem::Month, FormatItem::Year],
-            DateOrder::MonthFirst => [FormatItem::Month, FormatItem::Day, FormatItem::Year],
+            DateOrder::YearMonthDay => [FormatItem::Year, FormatItem::Month, FormatItem::Day],
+            DateOrder::DayMonthYear => [FormatItem::Day, FormatItem::Month, FormatItem::Year],
+            DateOrder::MonthDayYear => [FormatItem::Month, FormatItem::Day, FormatItem::Year],
         };
         for (place, item) in items.iter().enumerate() {
             if place > 0 {
                 let mark = self.any_of(MARKS)?;
                 // In a date with points the day comes first.
-                if mark == '.' && order == DateOrder::MonthFirst {
+                if mark == '.' && order == DateOrder::MonthDayYear {
                     return None;
                 }
                 self.blanks();
@@ -391,13 +391,13 @@ mod tests {
 
     #[test]
     fn a_day_above_twelve_shows_the_order() {
-        use DateOrder::{DayFirst, MonthFirst, YearFirst};
-        assert_eq!(orders("2024/09/14 02:16:47"), [YearFirst]);
-        assert_eq!(orders("14/09/2024 02:16:47"), [DayFirst]);
-        assert_eq!(orders("09/14/2024 02:16:47"), [MonthFirst]);
-        assert_eq!(orders("09/12/2024 02:16:47"), [DayFirst, MonthFirst]);
-        assert_eq!(orders("09.12.2024 02:16:47"), [DayFirst]);
-        assert_eq!(orders("9-Dec-2024 02:16:47"), [DayFirst]);
+        use DateOrder::{DayMonthYear, MonthDayYear, YearMonthDay};
+        assert_eq!(orders("2024/09/14 02:16:47"), [YearMonthDay]);
+        assert_eq!(orders("14/09/2024 02:16:47"), [DayMonthYear]);
+        assert_eq!(orders("09/14/2024 02:16:47"), [MonthDayYear]);
+        assert_eq!(orders("09/12/2024 02:16:47"), [DayMonthYear, MonthDayYear]);
+        assert_eq!(orders("09.12.2024 02:16:47"), [DayMonthYear]);
+        assert_eq!(orders("9-Dec-2024 02:16:47"), [DayMonthYear]);
         assert_eq!(orders("02:16:47"), DATE_ORDERS);
     }
 
@@ -405,7 +405,7 @@ mod tests {
     #[test]
     fn hours_of_half_days_begin_at_twelve() {
         for (text, hour) in [("12:00 AM", 0), ("1:00 am", 1), ("12:00 PM", 12), ("11:00pm", 23)] {
-            let time = read_time(text, DateOrder::YearFirst);
+            let time = read_time(text, DateOrder::YearMonthDay);
             assert_eq!(time, Some(WrittenTime { ns: hour * 3_600_000_000_000, dated: false }), "{text}");
         }
     }

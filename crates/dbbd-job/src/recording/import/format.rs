@@ -218,14 +218,14 @@ impl TimesSeen {
         if let (true, [_, _, ..], Some(doubtful)) = (self.dated, orders.as_slice(), self.doubtful) {
             return Err(doubtful);
         }
-        let order = orders.first().copied().unwrap_or(DateOrder::YearFirst);
+        let order = orders.first().copied().unwrap_or(DateOrder::YearMonthDay);
         if !self.dated {
             return Ok((TraceTimes::Usual(order), Some("times of a day")));
         }
         let written = match order {
-            DateOrder::YearFirst => "dates",
-            DateOrder::DayFirst => "dates with the day first",
-            DateOrder::MonthFirst => "dates with the month first",
+            DateOrder::YearMonthDay => "dates",
+            DateOrder::DayMonthYear => "dates with the day first",
+            DateOrder::MonthDayYear => "dates with the month first",
         };
         Ok((TraceTimes::Usual(order), Some(written)))
     }

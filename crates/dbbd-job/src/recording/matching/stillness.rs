@@ -29,20 +29,24 @@ const UNSEEN_BEGIN_S: f64 = 0.4;
 /// Shortest move of a plan, s: dwells closer than this at one level are one.
 const MIN_MOVE_S: f64 = 0.3;
 
+/// Passes after the first one. A long quiet time hides most dwells from the first pass, and its noise is too low.
+const PASSES: usize = 3;
+
 pub fn still_dwells(stream: &SampleStream, least_s: f64) -> Vec<Dwell> {
     let short = ReadingWindows::of(stream, SHORT, least_s);
     let long = ReadingWindows::of(stream, LONG, least_s);
     let least_mm = least_change_mm(stream);
     let bulk = |windows| WindowScale { windows, quiet: RestNoise::of_bulk(windows, RESTS, least_mm) };
-    let first_pass = detect_still_dwells(&bulk(&short), &bulk(&long), least_s);
-    let at_rest = |windows| {
-        let quiet = RestNoise::at_rest(windows, &first_pass, least_mm)?;
-        Some(WindowScale { windows, quiet })
-    };
-    match at_rest(&short).zip(at_rest(&long)) {
-        Some((fine, coarse)) => detect_still_dwells(&fine, &coarse, least_s),
-        None => first_pass,
+    let mut dwells = detect_still_dwells(&bulk(&short), &bulk(&long), least_s);
+    for _ in 0..PASSES {
+        let at_rest = |windows| {
+            let quiet = RestNoise::at_rest(windows, &dwells, least_mm)?;
+            Some(WindowScale { windows, quiet })
+        };
+        let Some((fine, coarse)) = at_rest(&short).zip(at_rest(&long)) else { break };
+        dwells = detect_still_dwells(&fine, &coarse, least_s);
     }
+    dwells
 }
 
 /// Detects the dwells with these thresholds.
