@@ -317,7 +317,7 @@ fn times_are_read_as_loggers_write_them() {
         (day, ms / 3_600_000, ms / 60_000 % 60, ms / 1000 % 60, ms % 1000)
     };
     type Writer<'a> = &'a dyn Fn((u32, u32, u32, u32, u32)) -> String;
-    let half = |h: u32| (if h % 12 == 0 { 12 } else { h % 12 }, if h < 12 { "AM" } else { "PM" });
+    let half = |h: u32| (if h.is_multiple_of(12) { 12 } else { h % 12 }, if h < 12 { "AM" } else { "PM" });
     let spellings: [(&str, Writer<'_>); 12] = [
         ("", &|(d, h, m, s, ms)| {
             let (h, half) = half(h);
