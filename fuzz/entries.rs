@@ -346,10 +346,10 @@ fn check_imported(robot: &Robot) {
 
 /// A robot as others describe it: a URDF, `$machine.dat`, a factory calibration, the messages of a controller.
 fn description(data: &[u8]) {
-    if let Ok(table) = FactoryTable::receive(&mut &data[..]) {
-        if let Ok(imported) = table.imported(&built_in("ur10e")) {
-            check_imported(&imported.robot);
-        }
+    if let Ok(table) = FactoryTable::receive(&mut &data[..])
+        && let Ok(imported) = table.imported(&built_in("ur10e"))
+    {
+        check_imported(&imported.robot);
     }
     let Ok(text) = std::str::from_utf8(data) else { return };
     let like = built_in("ur10e");

@@ -132,10 +132,12 @@ fn routine(tokens: &mut Tokens<'_>, file: usize, is_local: bool) -> Result<Routi
             tokens.go_to(start);
             let first = tokens.next();
             skip(tokens);
-            Some(StatementKind::Other(match first {
-                Token::Name(name) => name,
-                Token::Sign("%") => CALL_BY_NAME.into(),
-                _ => "this statement".into(),
+            Some(StatementKind::Other(if let Token::Name(name) = first {
+                name
+            } else if first == Token::Sign("%") {
+                CALL_BY_NAME.into()
+            } else {
+                "this statement".into()
             }))
         });
         let is_if = matches!(&kind, Some(StatementKind::Control { control: Control::If, .. }));

@@ -192,10 +192,7 @@ impl<'a> InFile<'a> {
             self.assigned_lines.keys().map(|name| (*name, self.data(name))).collect();
         for routine in &self.routines {
             for statement in &routine.body {
-                let components = match &statement.kind {
-                    StatementKind::Assign { components, .. } => components.as_slice(),
-                    _ => &[],
-                };
+                let components = assigned_components(&statement.kind);
                 for name in changed(statement, &self.routines, &self.changing) {
                     if let Some(value) = known.get_mut(name).filter(|_| !is_local(routine, name)) {
                         assign(value, components, None);
@@ -237,6 +234,11 @@ impl<'a> InFile<'a> {
             }
         }
     }
+}
+
+/// The components to which a statement assigns; none if it is a whole variable, or another statement.
+fn assigned_components(kind: &StatementKind) -> &[String] {
+    if let StatementKind::Assign { components, .. } = kind { components } else { &[] }
 }
 
 /// Assigns to a component of a variable; `None` for a value that is not known.
@@ -382,8 +384,7 @@ impl Followed for InFile<'_> {
             return;
         }
         let routine = self.routines[at.0];
-        let components =
-            if let StatementKind::Assign { components, .. } = kind { components.as_slice() } else { &[] };
+        let components = assigned_components(kind);
         for name in changed(statement, &self.routines, &self.changing) {
             let given = if components.is_empty() { named(name) } else { given.clone() };
             let scope = if is_local(routine, name) { &mut state.locals } else { &mut state.data };
