@@ -17,7 +17,7 @@ const WORDS: [(Maker, &[&str], &[&str]); 6] = [
     (Maker::Abb, &["abb"], &["irb"]),
     (Maker::Fanuc, &["fanuc"], &["lrmate", "crx"]),
     (Maker::Kuka, &["kuka"], &["kr"]),
-    (Maker::Staubli, &["staubli", "stäubli"], &["tx2"]),
+    (Maker::Staubli, &["staubli", "stäubli"], &["tx", "rx"]),
     (Maker::Universal, &["universal", "universalrobots"], &["ur"]),
     (Maker::Yaskawa, &["yaskawa", "motoman"], &[]),
 ];
@@ -95,6 +95,7 @@ mod tests {
             ("UR10", Some(Maker::Universal)),
             ("our_robot", None),
             ("kr60ha", Some(Maker::Kuka)),
+            ("st_ubli_tx2_60", Some(Maker::Staubli)),
             ("krypton", None),
             ("abb_irb2400", Some(Maker::Abb)),
             ("irb120_with_fanuc_gripper", None),

@@ -18,6 +18,8 @@ use super::maker::Maker;
 
 /// Links at which makers end an arm, the best first.
 const ENDS: [&str; 2] = ["tool0", "flange"];
+/// An axis is Z of a frame if it is off by less, mm and rad: descriptions have six digits.
+const ON_AXIS: f64 = 1e-3;
 /// Limits of a joint that turns without end: two turns to either side are common.
 const ENDLESS_DEG: f64 = 360.0;
 /// Speed of a joint that states none or zero, degrees/s.
@@ -32,7 +34,17 @@ pub(super) fn import(file: &str, text: &str, known: KnownOfRobot<'_>) -> Result<
         reader.check_ends(&joints)?;
     }
     let base = reader.base(&joints)?;
-    let mut frame = base.map_or(Pose::identity(), |base| base.inverse());
+    // The base of the robot is that of its controller where axis 1 is its Z, else the first link.
+    let first =
+        joints.first().map(|joint| joint.fixed_before.then(&joint.origin)).unwrap_or(Pose::identity());
+    let is_on_axis = |base: &Pose| {
+        let first = base.inverse().then(&first);
+        let axis = first.rotation * joints.first().map_or(Vector3::z(), |joint| joint.axis);
+        axis.xy().norm() < ON_AXIS && first.position.xy().norm() < ON_AXIS
+    };
+    let root = base.filter(is_on_axis).unwrap_or(Pose::identity());
+    let world = base.map_or(Pose::identity(), |base| base.inverse().then(&root));
+    let mut frame = root.inverse();
     let mut axes = Vec::with_capacity(AXES);
     for joint in &joints {
         frame = frame.then(&joint.fixed_before).then(&joint.origin);
@@ -55,7 +67,7 @@ pub(super) fn import(file: &str, text: &str, known: KnownOfRobot<'_>) -> Result<
     let maker = known.maker.or_else(|| reader.maker(name));
     let mut robot = Robot::rigid(name, limits.map(|limits| limits.deg), limits.map(|limits| limits.deg_s));
     robot.set_language(maker.and_then(Maker::language));
-    let mut imported = lines.imported(robot, &Pose::identity());
+    let mut imported = lines.imported(robot, &world);
     let mimic = joints.iter().find(|joint| child(joint.node, "mimic").is_some());
     let is_coupled = |maker: &Maker| maker.couples([name].into_iter().chain(reader.shapes()));
     let coupled = known.coupled.or_else(|| maker.filter(is_coupled).map(|_| Coupled::Yes));

@@ -24,7 +24,8 @@ const PLACEHOLDER_KG: f64 = 1.0;
 /// Added to every inertia, kg m^2: inertias of point masses are zero about some axis.
 const PLACEHOLDER_INERTIA_KG_M2: f64 = 0.01;
 
-/// The URDF of a robot: links `world`, `base_link`, `link_1` to `link_6`, `flange` and `ball`.
+/// The URDF of a robot: links `world`, `base_link`, `link_1` to `link_6`, `flange` and `ball`; `base` and `tool0` are where its controller
+/// counts from (REP 199).
 pub fn urdf(robot: &Robot) -> String {
     let mut text = String::from("<?xml version=\"1.0\"?>\n");
     let _ =
@@ -46,7 +47,9 @@ pub fn urdf(robot: &Robot) -> String {
     let _ = writeln!(text, "<robot name=\"{}\">", name(&robot.name));
     text.push_str("  <!-- MuJoCo keeps the links that are fixed to others. -->\n  <mujoco><compiler fusestatic=\"false\"/></mujoco>\n");
     text.push_str("  <link name=\"world\"/>\n");
-    text.push_str(&fixed("base_link", "world", &Vector3::zeros()));
+    let along = |mm: Vector3<f64>| Pose { position: mm, ..Pose::identity() };
+    text.push_str(&fixed("base_link", "world", &Pose::identity()));
+    text.push_str(&fixed("base", "base_link", &robot.frames.base.inverse()));
     let mut before_mm = 0.0;
     for (at, row) in robot.geometry.rows.iter().enumerate() {
         let number = at + 1;
@@ -65,8 +68,9 @@ pub fn urdf(robot: &Robot) -> String {
         text.push_str(&link(robot, number, row.d));
         before_mm = row.d;
     }
-    text.push_str(&fixed("flange", &format!("link_{AXES}"), &Vector3::new(0.0, 0.0, before_mm)));
-    text.push_str(&fixed("ball", "flange", &robot.geometry.tool));
+    text.push_str(&fixed("flange", &format!("link_{AXES}"), &along(Vector3::z() * before_mm)));
+    text.push_str(&fixed("tool0", "flange", &robot.frames.flange));
+    text.push_str(&fixed("ball", "flange", &along(robot.geometry.tool)));
     // Drake makes actuators of the transmissions.
     for number in 1..=AXES {
         let _ = writeln!(
@@ -144,11 +148,11 @@ fn link(robot: &Robot, number: usize, d_mm: f64) -> String {
 }
 
 /// A link that is fixed on another.
-fn fixed(name: &str, parent: &str, place_mm: &Vector3<f64>) -> String {
+fn fixed(name: &str, parent: &str, place: &Pose) -> String {
     format!(
         "  <joint name=\"{parent}-{name}\" type=\"fixed\">\n    <parent link=\"{parent}\"/>\n    <child link=\"{name}\"/>\n    {}\n  </joint>\n  \
          <link name=\"{name}\"/>\n",
-        origin_tag(place_mm, &Matrix3::identity())
+        origin_tag(&place.position, &place.rotation)
     )
 }
 
