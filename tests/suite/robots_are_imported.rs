@@ -218,6 +218,11 @@ fn a_urdf_becomes_the_robot_of_its_controller() {
     assert_eq!(of_type("ur5e", "built-in.toml").status.code(), Some(0));
     assert_same_controller(&read(&at.join("mine.toml")), &read(&at.join("built-in.toml")));
     says(&of_type("kr60ha", "no.toml"), 1, "E0591");
+    // An arm on a wall remains one.
+    let text = fs::read_to_string(at.join("arm.toml")).unwrap();
+    fs::write(at.join("wall.toml"), format!("{text}\n[mounting]\ngravity = [0.0, 1.0, 0.0]\n")).unwrap();
+    assert_eq!(of_type("wall.toml", "on-wall.toml").status.code(), Some(0));
+    assert_eq!(read(&at.join("on-wall.toml")).geometry.load.gravity, nalgebra::Vector3::y());
 }
 
 /// What dbbd exports, it imports: each built-in robot comes back as the same controller, without a question; also one that stands elsewhere, whose

@@ -66,7 +66,10 @@ impl ArmLines {
         };
         robot.frames = ControllerFrames { base: same(world.then(&table.base)), flange: same(table.flange) };
         let ControllerFrames { base, flange } = robot.frames;
-        robot.geometry.load.gravity = base.rotation.transpose() * ArmLoad::DOWN;
+        // An upright robot keeps the gravity that its type states.
+        if base.rotation != null.rotation {
+            robot.geometry.load.gravity = base.rotation.transpose() * ArmLoad::DOWN;
+        }
         let base = (base != null).then(|| DescriptionFinding::BaseElsewhere { frame: shown(&base) });
         let flange = (flange != null).then(|| DescriptionFinding::FlangeElsewhere { frame: shown(&flange) });
         ImportedRobot { robot, findings: base.into_iter().chain(flange).collect(), largest_mm }

@@ -63,13 +63,14 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
         used: HashSet::new(),
         given_away: Vec::new(),
     };
+    let data_at_begin = program.data_at_begin();
     let all = 0..program.routines.len();
     // The program begins in `main`; routines that `main` does not reach are called from other modules.
     let (main, others): (Vec<usize>, Vec<usize>) = all.partition(|at| program.routines[*at].name == "MAIN");
     for at in main.into_iter().chain(others) {
         let routine = program.routines[at];
         if !follower.has_visited(at) {
-            let mut state = InRoutine::before(routine, program.data_at_begin());
+            let mut state = InRoutine::before(routine, data_at_begin.clone());
             if routine.is_concurrent {
                 state.forget_modes(text.line(routine.body.first().map_or(0, |first| first.span.start)));
             }
