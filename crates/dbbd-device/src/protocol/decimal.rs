@@ -60,8 +60,16 @@ fn exponent_len(rest: &[u8]) -> usize {
 }
 
 impl DecimalFormat {
-    /// The number at the start of `rest`, its number of decimals, and the bytes after it. It may have an exponent.
-    pub(super) fn read<'a>(&self, rest: &'a [u8]) -> Option<(f64, usize, &'a [u8])> {
+    /// The number of decimals of the number at the start of `rest`.
+    pub(super) fn decimals(&self, rest: &[u8]) -> Option<usize> {
+        let (_, tail) = self.read(rest)?;
+        let number = rest.get(..rest.len() - tail.len())?;
+        let after = number.iter().position(|byte| *byte == self.mark).map_or(number.len(), |mark| mark + 1);
+        Some(number.iter().skip(after).take_while(|byte| byte.is_ascii_digit()).count())
+    }
+
+    /// The number at the start of `rest`, which may have an exponent, and the bytes after it.
+    pub(super) fn read<'a>(&self, rest: &'a [u8]) -> Option<(f64, &'a [u8])> {
         let blanks = |bytes: &[u8]| bytes.iter().take_while(|byte| **byte == b' ').count();
         let (field, tail) = match self.width {
             Some(width) => rest.split_at_checked(width)?,
@@ -85,19 +93,17 @@ impl DecimalFormat {
         let digits = if self.blanks { digits.trim_start_matches(' ') } else { digits };
         let is_mantissa = |byte: u8| byte.is_ascii_digit() || byte == self.mark;
         let mantissa = digits.bytes().take_while(|byte| is_mantissa(*byte)).count();
-        let (mantissa, exponent) = digits.split_at(mantissa);
-        if exponent_len(exponent.as_bytes()) != exponent.len() {
+        let exponent = &digits.as_bytes()[mantissa..];
+        if exponent_len(exponent) != exponent.len() {
             return None;
         }
-        let point = mantissa.bytes().position(|byte| byte == self.mark);
         let value: f64 = match self.mark {
             b'.' => digits.parse(),
             mark => digits.replace(char::from(mark), ".").parse(),
         }
         .ok()
         .filter(|value: &f64| value.is_finite())?;
-        let decimals = point.map_or(0, |point| mantissa.len() - point - 1);
-        Some((if negative { -value } else { value }, decimals, tail))
+        Some((if negative { -value } else { value }, tail))
     }
 
     /// Appends a number; `None` if it does not fit.
@@ -149,7 +155,7 @@ mod tests {
     }
 
     fn read(format: DecimalFormat, text: &str) -> Option<(f64, &str)> {
-        let (value, _, tail) = format.read(text.as_bytes())?;
+        let (value, tail) = format.read(text.as_bytes())?;
         Some((value, std::str::from_utf8(tail).ok()?))
     }
 
@@ -212,7 +218,7 @@ mod tests {
     #[test]
     fn decimals_of_a_number_are_counted() {
         for (text, decimals) in [("+012.700", 3), ("+0.50000", 5), ("12", 0), ("12.", 0), ("1.25E-01", 2)] {
-            assert_eq!(PLAIN.read(text.as_bytes()).map(|read| read.1), Some(decimals), "{text}");
+            assert_eq!(PLAIN.decimals(text.as_bytes()), Some(decimals), "{text}");
         }
     }
 

@@ -266,7 +266,7 @@ impl FieldForm {
                 Some((signed_value(value, *bits, *signed), if *last { tail } else { rest }))
             }
             FieldForm::Decimal(decimal) => {
-                decimal.read(rest).map(|(value, _, tail)| (RawValue::Real(value), tail))
+                decimal.read(rest).map(|(value, tail)| (RawValue::Real(value), tail))
             }
             FieldForm::Hex { digits, signed } => {
                 let (field, tail) = rest.split_at_checked(*digits)?;
@@ -398,18 +398,30 @@ impl MessageField {
                 if let FieldForm::Decimal(decimal) = &self.form
                     && let Some([min, max]) = decimal.read_decimals
                 {
-                    let (_, decimals, _) = decimal.read(rest)?;
+                    let decimals = decimal.decimals(rest)?;
                     reading.decimals = Some(decimals);
                     reading.is_other_unit = !(min..=max).contains(&decimals);
                 }
             }
             Some(FieldRole::Temperature(scale)) => sample.temperature_c = Some(scale.quantity(value.real())),
             Some(FieldRole::Sequence { .. }) => sample.sequence = Some(value.count()?),
-            Some(FieldRole::Ticks(_)) if self.form.step() < 1.0 => {
-                let ticks = RawValue::Real((value.real() / self.form.step()).round());
+            Some(FieldRole::Ticks(_)) => {
+                let ticks = match &self.form {
+                    FieldForm::Decimal(decimal) if decimal.decimals > 0 => {
+                        RawValue::Real((value.real() / self.form.step()).round())
+                    }
+                    FieldForm::Decimal(_)
+                    | FieldForm::Float { .. }
+                    | FieldForm::Skip(_)
+                    | FieldForm::Integer { .. }
+                    | FieldForm::Bits { .. }
+                    | FieldForm::Literal { .. }
+                    | FieldForm::Hex { .. }
+                    | FieldForm::Word { .. }
+                    | FieldForm::Column { .. } => value,
+                };
                 sample.ticks = Some(DeviceTicks(ticks.count()?));
             }
-            Some(FieldRole::Ticks(_)) => sample.ticks = Some(DeviceTicks(value.count()?)),
             Some(FieldRole::Status(flags)) => {
                 sample.status = value.count()?;
                 flags.apply(sample);
