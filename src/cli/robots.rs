@@ -11,13 +11,13 @@ use dbbd_job::files;
 use dbbd_job::request;
 use dbbd_job::robot_description::{
     self, CHECKED_POSES, Coupled, DescriptionFinding, DescriptionKind, FactoryTable, ImportedRobot,
-    KnownOfRobot, Maker, PendantPose,
+    KnownOfRobot, PendantPose,
 };
 use dbbd_job::robot_files::RobotName;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Tolerance;
 use dbbd_model::robot::{CouplingTable, JointTable};
-use dbbd_model::robot::{LoadedRobot, Robot};
+use dbbd_model::robot::{LoadedRobot, Maker, Robot};
 
 /// List, show or check robots.
 ///

@@ -34,9 +34,9 @@ from simulated_robots import AXES, Geometry
 import numpy as np
 
 # Time of an accepted plan over that of the shortest run of the brute force: a plan is to be at most a quarter longer.
-LONGEST = 1.25
+MAX_RATIO = 1.25
 # Fewer accepted plans in the same kind of cell do not say what a plan keeps over its criterion.
-LEARNT = 3
+MIN_LEARNT = 3
 ROBOTS = ("kr60ha", "ur10")
 TOOL_MM, TOOL_U_MM = [30.0, 20.0, 10.0], .5   # the second is the default of a job, a standard uncertainty
 TOLERANCE = "[tolerance]\nlength_mm = 1.0\nangle_deg = 0.1\n"   # of a robot file that states none
@@ -48,11 +48,11 @@ REPEATABILITY = 3.616                         # ISO 9283: mean and three standar
 # (of a joint among others 0.5), times exp(variance). Smooth errors are two processes with these lengths.
 HARMONIC_RAD, SMOOTH_RAD, SMOOTH_LENGTHS_RAD = 5e-4 * math.e, 1e-4 * math.exp(1.25), (.15, .5)
 GOAL_POSES, CANDIDATES = 100, 250             # the second: about each place
-MOST_BALLS, LEAST_POSES, MOST_POSES = 4, 12, 360
+MAX_BALLS, MIN_POSES, MAX_POSES = 4, 12, 360
 BAR_S, BALL_S, POSE_S = 360.0, 240.0, 12.0    # the prices of the jobs
 REFERENCE = 1.05                              # every twentieth pose a reference is visited
 NEAR_BEST = 1.2                               # runs that are this near to the shortest one are improved
-LEAST_DEG, OVERHEAD_MM = 5.0, 50.0            # from a singular wrist and elbow, and of the wrist centre from axis 1
+MIN_DEG, OVERHEAD_MM = 5.0, 50.0            # from a singular wrist and elbow, and of the wrist centre from axis 1
 
 
 class Arm(Geometry):
@@ -106,7 +106,7 @@ class Arm(Geometry):
         upper, lower = f[2][1] - f[1][1], f[3][1] - f[2][1]
         elbow = np.arctan2((np.cross(upper, lower) * f[1][0][:, :, 2]).sum(1), self.flat(f, upper, lower))
         wrist = self.sign[4] * np.radians(q[:, 4]) + self.offset[4]
-        near = np.minimum(abs(np.sin(elbow)), abs(np.sin(wrist))) < math.sin(math.radians(LEAST_DEG))
+        near = np.minimum(abs(np.sin(elbow)), abs(np.sin(wrist))) < math.sin(math.radians(MIN_DEG))
         bits = (forward > 0) + 2 * (elbow > 0) + 4 * (np.sin(wrist) > 0)
         return np.where(near | (abs(forward) < OVERHEAD_MM), -1, bits)
 
@@ -172,7 +172,7 @@ class Arm(Geometry):
         away = self.ball(q) - place
         u = away / np.linalg.norm(away, axis=1)[:, None]
         J = np.einsum("ni,nij->nj", u, self.derivatives(q))
-        own = np.zeros((len(q), 3 * MOST_BALLS + 1))
+        own = np.zeros((len(q), 3 * MAX_BALLS + 1))
         own[:, 3 * ball:3 * ball + 3], own[:, -1] = BALL_MM * u, BAR_U_MM / 2
         return Errors(np.concatenate([J * self.sd, own], 1), J[:, 12:18], np.radians(q))
 
@@ -268,7 +268,7 @@ class Choice:
 
     def extend(self, square, most):
         """Adds poses until they leave this mean square; whether they do."""
-        while self.square > square or len(self.chosen) < LEAST_POSES:
+        while self.square > square or len(self.chosen) < MIN_POSES:
             if len(self.chosen) >= min(most, len(self.known)):
                 return False
             self.take(self.best())
@@ -276,7 +276,7 @@ class Choice:
 
     def shorten(self, square):
         """Gives back poses and exchanges the others, as long as they leave no more than this mean square; how many remain."""
-        while len(self.chosen) > LEAST_POSES:
+        while len(self.chosen) > MIN_POSES:
             costs = self.gains(-1)
             self.take(min(self.chosen, key=lambda j: costs[j]), -1)
             for j in list(self.chosen):
@@ -307,7 +307,7 @@ class Search:
         self.places = job.places
         self.about = {bar: [job.arm.candidates(rng, place, bar, branches.get((bar, at))) for at, place in enumerate(job.places)]
                       for bar in job.bars}
-        sizes = range(1, min(MOST_BALLS, len(job.places)) + 1)
+        sizes = range(1, min(MAX_BALLS, len(job.places)) + 1)
         sets = [chosen for size in sizes for chosen in itertools.combinations(range(len(job.places)), size)]
         self.runs = [(bar, chosen) for bar in job.bars for chosen in sets
                      if all(len(self.about[bar][at]) >= 40 for at in chosen)]
@@ -330,19 +330,19 @@ class Search:
         time_s = lambda run, poses: BAR_S + BALL_S * len(run[1]) + REFERENCE * POSE_S * poses
         for run in self.runs:
             choice, left_s = self.choice(run), NEAR_BEST * best_s - time_s(run, 0)
-            if choice.extend(target_mm**2, min(MOST_POSES, left_s / (REFERENCE * POSE_S))):
+            if choice.extend(target_mm**2, min(MAX_POSES, left_s / (REFERENCE * POSE_S))):
                 found.append((time_s(run, len(choice.chosen)), run, choice))
                 best_s = min(best_s, found[-1][0])
         improved = [(time_s(run, poses), run, poses) for greedy_s, run, choice in found if greedy_s <= NEAR_BEST * best_s
                     for poses in [choice.shorten(target_mm**2)]]
         return min(improved, default=(math.inf, None, 0))
 
-    def least_mm(self):
+    def min_mm(self):
         """The least that any run leaves, and its bar and places."""
         least = []
         for run in self.runs:
             choice = self.choice(run)
-            choice.extend(0.0, MOST_POSES)
+            choice.extend(0.0, MAX_POSES)
             least.append((math.sqrt(choice.square), run))
         return min(least, default=(math.inf, None))
 
@@ -368,7 +368,7 @@ class Job:
     def text(self):
         lines = [f'robot = "{self.robot}"', "[tool]", f"ball_mm = {TOOL_MM}", "[bar]", "stroke_mm = [-25.0, 25.0]",
                  f"length_u_mm = {BAR_U_MM}", f"sigma_um = {1e3 * BAR_SIGMA_MM}", "[motion]", "feed_mm_s = 150.0", "[limits]",
-                 f"min_overhead_mm = {OVERHEAD_MM}", f"min_a5_deg = {LEAST_DEG}", f"min_elbow_deg = {LEAST_DEG}",
+                 f"min_overhead_mm = {OVERHEAD_MM}", f"min_a5_deg = {MIN_DEG}", f"min_elbow_deg = {MIN_DEG}",
                  "[goal]", f"position_mm = {self.goal_mm}", f"minutes_per_ball = {BALL_S / 60}", f"minutes_per_bar = {BAR_S / 60}",
                  f"seconds_per_pose = {POSE_S}"]
         lines += [] if self.box is None else [f"region_mm = {self.box.tolist()}"]
@@ -424,8 +424,8 @@ def main():
         with tempfile.TemporaryDirectory() as directory:
             planned, refusal = plan(options.dbbd.resolve(), job, pathlib.Path(directory))
             if refusal is not None:
-                least_mm, run = Search(job, rng, {}).least_mm()
-                refused.append((about, job, refusal, least_mm, run))
+                min_mm, run = Search(job, rng, {}).min_mm()
+                refused.append((about, job, refusal, min_mm, run))
                 continue
             header = json.loads((planned / "plan.json").read_text())
             if header.get("stage"):
@@ -441,20 +441,20 @@ def main():
         kept[job.kind].append(reached_mm / criterion_mm)
         print(f"{about}: reached {reached_mm:.3f}, criterion {criterion_mm:.3f}, {found.text}, {found.time_s / 60:.0f} min; brute force "
               f"{run and f'bar {run[0]} mm, {len(run[1])} balls, {poses} poses'}, {best_s / 60:.0f} min: ratio {ratios[-1]:.3f}")
-        if ratios[-1] > LONGEST:
+        if ratios[-1] > MAX_RATIO:
             violated.append(f"{about}: ratio {ratios[-1]:.3f}")
     judged = 0
-    for about, job, refusal, least_mm, run in refused:
+    for about, job, refusal, min_mm, run in refused:
         codes = sorted(set(re.findall(r"\b[EI]\d{4}\b", refusal)))
         stated = re.search(r"leaves ([\d.]+) mm", refusal)
         of_kind = kept[job.kind]
-        most_mm = least_mm * max(of_kind, default=math.nan)
-        is_judged = len(of_kind) >= LEARNT
+        kept_mm = min_mm * max(of_kind, default=math.nan)
+        is_judged = len(of_kind) >= MIN_LEARNT
         judged += is_judged
-        print(f"{about}: refused by {' '.join(codes)}, best {stated[1] if stated else '?'} mm; brute force leaves {least_mm:.3f}, robots "
-              f"keep {most_mm:.3f} mm, {run and f'bar {run[0]} mm, {len(run[1])} balls'}{'' if is_judged else ', not judged'}")
-        if is_judged and most_mm <= job.goal_mm:
-            violated.append(f"{about}: refused, but {most_mm:.3f} mm can be kept")
+        print(f"{about}: refused by {' '.join(codes)}, best {stated[1] if stated else '?'} mm; brute force leaves {min_mm:.3f}, robots "
+              f"keep {kept_mm:.3f} mm, {run and f'bar {run[0]} mm, {len(run[1])} balls'}{'' if is_judged else ', not judged'}")
+        if is_judged and kept_mm <= job.goal_mm:
+            violated.append(f"{about}: refused, but {kept_mm:.3f} mm can be kept")
         if not ("E0750" in codes and any(code in codes for code in ("I0751", "I0752", "I0753"))):
             violated.append(f"{about}: the refusal names no limit: {' '.join(codes)}")
     print(f"\n{options.goals} goals, {len(ratios)} compared: ratio {np.mean(ratios or [0]):.3f} in the mean, "

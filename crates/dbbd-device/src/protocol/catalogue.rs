@@ -90,7 +90,7 @@ findings! {
             LiteralText => "lit needs `text`";
             DecimalWidth => "decimals must be at most 12, width and pad_to at most 32";
             DecimalMark => "`decimal` must be \".\" or \",\"";
-            ReadDecimals => "`read_decimals` gives the fewest and the most decimals of each unit, as in mm = [2, 4]";
+            ReadDecimals => "`read_decimals` gives the smallest and the largest number of decimals of each unit, as in mm = [2, 4]";
             BlankFill => "fill = \"blank\" needs blanks = true: what is written must be read";
             HexDigits => "hex needs `digits`, 1 to 8";
             MapWords => "map needs `map`: words and what they mean";

@@ -23,7 +23,7 @@ pub(super) enum DecimalSign {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DecimalFormat {
     pub(super) decimals: usize,
-    /// Fewest and most decimals that the device shows; a reading with others is in another unit.
+    /// Smallest and largest number of decimals that the device shows; a reading with others is in another unit.
     pub(super) read_decimals: Option<[usize; 2]>,
     /// The decimal mark, `.` or `,`.
     pub(super) mark: u8,

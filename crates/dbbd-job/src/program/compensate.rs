@@ -162,9 +162,7 @@ impl<'a> Corrector<'a> {
             axes: AxisAngles::from_degrees(taught.map(f64::to_degrees)),
             approach: self.approach,
         };
-        let tool_point = commanded
-            .frames
-            .map(|frames| ToolPoint { tool: frames.for_table(&self.nominal.frames).tool.position, pose });
+        let tool_point = commanded.frames.map(|_| ToolPoint { tool: frames.tool.position, pose });
         Ok(Corrected { numbers, shift_mm, turn_deg, taught, axes, tool_point })
     }
 

@@ -1,10 +1,9 @@
 //! The robot of a description as its controller shows it.
 
-use dbbd_model::robot::{AXES, CoupledAxis, Coupling, Joint, Pose, Robot};
+use dbbd_model::robot::{AXES, CoupledAxis, Coupling, Joint, Maker, Pose, Robot};
 
 use super::arm_lines::ImportedRobot;
 use super::catalogue::DescriptionFinding;
-use super::maker::Maker;
 
 /// What a user knows of the robot beside its description.
 #[derive(Clone, Copy, Debug, Default)]

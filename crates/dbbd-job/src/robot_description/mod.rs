@@ -7,7 +7,6 @@ mod arm_lines;
 mod catalogue;
 mod controller;
 mod machine_data;
-mod maker;
 pub(crate) mod universal;
 pub(crate) mod urdf;
 
@@ -15,7 +14,6 @@ pub use arm_lines::{CHECKED_POSES, ImportedRobot};
 pub use catalogue::DescriptionFinding;
 pub use controller::{Coupled, KnownOfRobot, PendantPose};
 pub use machine_data::{MachineData, WristLink};
-pub use maker::Maker;
 pub use universal::FactoryTable;
 
 use dbbd_model::diagnostic::Diagnostic;

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
-use dbbd_model::robot::{AXES, JointAxis, Pose, Robot};
+use dbbd_model::robot::{AXES, JointAxis, Maker, Pose, Robot};
 use nalgebra::Vector3;
 use roxmltree::{Document, Node};
 
@@ -14,7 +14,6 @@ use super::catalogue::DescriptionFinding::{
     OtherOrder,
 };
 use super::controller::{Coupled, KnownOfRobot};
-use super::maker::Maker;
 
 /// Links at which makers end an arm, the best first.
 const ENDS: [&str; 2] = ["tool0", "flange"];

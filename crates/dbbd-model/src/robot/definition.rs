@@ -7,6 +7,7 @@ use super::controller_frames::ControllerFrames;
 use super::joint_axes::PARALLEL;
 use super::kinematics::Geometry;
 use super::load::ArmLoad;
+use super::maker::Maker;
 use super::parameter::all_parameters;
 use super::posterior::RobotPosterior;
 use super::tolerance::Tolerance;
@@ -91,19 +92,6 @@ pub struct Robot {
     /// Codes of the warnings of its identification.
     pub warnings: Vec<String>,
 }
-
-/// The languages of the makers, by the first word of a robot's name.
-const LANGUAGES: [(&str, &str); 9] = [
-    ("KUKA", "krl"),
-    ("ABB", "rapid"),
-    ("Universal", "urscript"),
-    ("UR", "urscript"),
-    ("Staubli", "val3"),
-    ("Stäubli", "val3"),
-    ("Fanuc", "fanuc"),
-    ("Yaskawa", "inform"),
-    ("Motoman", "inform"),
-];
 
 /// A tool ball is mounted to tenths of a millimetre.
 pub(super) const USUAL_BALL_U_MM: f64 = 0.5;
@@ -190,12 +178,10 @@ impl Robot {
         TracedArtefact { artefact, provenance }
     }
 
-    /// The language of the controller: the one in the file, else the language of the maker in the robot's name.
+    /// The language of the controller: the one in the file, else the language of the maker that the first word of the name is.
     pub fn controller_language(&self) -> Option<&str> {
-        let maker = self.name.split([' ', '-', '_']).next().unwrap_or("");
-        let by_name =
-            || LANGUAGES.iter().find(|(name, _)| name.eq_ignore_ascii_case(maker)).map(|(_, of)| *of);
-        self.language.as_deref().or_else(by_name)
+        let first = self.name.split([' ', '-', '_']).next().unwrap_or("");
+        self.language.as_deref().or_else(|| Maker::of_word(first)?.language())
     }
 
     /// Sets the language of the controller, and the model that controllers of this language have.

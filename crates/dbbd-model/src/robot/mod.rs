@@ -23,6 +23,7 @@ mod joint_error;
 mod joint_table;
 pub mod kinematics;
 mod load;
+mod maker;
 mod months;
 pub mod parameter;
 pub mod pose;
@@ -49,6 +50,7 @@ pub use joint_error::{
 pub use joint_table::{CouplingTable, JointTable};
 pub use kinematics::Geometry;
 pub use load::{ArmLoad, Mass, Payload};
+pub use maker::Maker;
 pub(crate) use months::season_k;
 pub use parameter::{ParamGroup, ParamId, ParamOwner, ParamUnit, PriorRule};
 pub use pose::Pose;

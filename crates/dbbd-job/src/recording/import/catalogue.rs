@@ -85,7 +85,7 @@ findings! {
             NotValid { readings: u64 } => "{readings} readings are beyond the bar's stroke or marked as not valid";
         }
         I1112 "the format of times or lengths of a trace was detected",
-        cause: "The mapping does not state it (or there is no mapping); the rows show it without doubt.",
+        cause: "The mapping does not state it (or there is no mapping); the rows show it.",
         cure: "Nothing to do, if the message is right. Else give [time] format or unit, or [length] kind in a mapping." {
             Times { written: &'static str } => "the times are read as {written}";
             Readings { bar_mm: f64 } => "the lengths are read as readings of the bar of {bar_mm} mm";

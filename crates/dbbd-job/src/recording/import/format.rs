@@ -181,7 +181,7 @@ struct TimesSeen {
     orders: Option<Vec<DateOrder>>,
     dated: bool,
     /// The place of the first date that may be read in two ways.
-    doubtful: Option<Diagnostic>,
+    ambiguous: Option<Diagnostic>,
 }
 
 impl TimesSeen {
@@ -200,8 +200,8 @@ impl TimesSeen {
         let orders: Vec<DateOrder> = known.iter().copied().filter(|order| read(order).is_some()).collect();
         self.numbers.get_or_insert(false);
         self.dated |= time.dated;
-        if time.dated && orders.len() > 1 && self.doubtful.is_none() {
-            self.doubtful = Some(row.wrong(place, ImportFinding::DayOrMonth { field: text }));
+        if time.dated && orders.len() > 1 && self.ambiguous.is_none() {
+            self.ambiguous = Some(row.wrong(place, ImportFinding::DayOrMonth { field: text }));
         }
         self.orders = Some(orders);
     }
@@ -215,8 +215,8 @@ impl TimesSeen {
             return Ok((TraceTimes::Number(TraceTimeUnit::S), None));
         }
         let orders = self.orders.unwrap_or_default();
-        if let (true, [_, _, ..], Some(doubtful)) = (self.dated, orders.as_slice(), self.doubtful) {
-            return Err(doubtful);
+        if let (true, [_, _, ..], Some(ambiguous)) = (self.dated, orders.as_slice(), self.ambiguous) {
+            return Err(ambiguous);
         }
         let order = orders.first().copied().unwrap_or(DateOrder::YearMonthDay);
         if !self.dated {
@@ -257,7 +257,7 @@ impl KindsSeen {
         self.readings.max(self.distances) >= ENOUGH
     }
 
-    /// The kind of most lengths, in doubt that of the first.
+    /// The kind of most lengths; of equally many that of the first.
     fn kind(&self) -> Option<LengthKind> {
         match self.readings.cmp(&self.distances) {
             std::cmp::Ordering::Less => Some(LengthKind::Distance),

@@ -32,25 +32,25 @@ const MIN_MOVE_S: f64 = 0.3;
 /// Passes after the first one. A long quiet time hides most dwells from the first pass, and its noise is too low.
 const PASSES: usize = 3;
 
-pub fn still_dwells(stream: &SampleStream, least_s: f64) -> Vec<Dwell> {
-    let short = ReadingWindows::of(stream, SHORT, least_s);
-    let long = ReadingWindows::of(stream, LONG, least_s);
-    let least_mm = least_change_mm(stream);
-    let bulk = |windows| WindowScale { windows, quiet: RestNoise::of_bulk(windows, RESTS, least_mm) };
-    let mut dwells = detect_still_dwells(&bulk(&short), &bulk(&long), least_s);
+pub fn still_dwells(stream: &SampleStream, min_s: f64) -> Vec<Dwell> {
+    let short = ReadingWindows::of(stream, SHORT, min_s);
+    let long = ReadingWindows::of(stream, LONG, min_s);
+    let min_mm = least_change_mm(stream);
+    let bulk = |windows| WindowScale { windows, quiet: RestNoise::of_bulk(windows, RESTS, min_mm) };
+    let mut dwells = detect_still_dwells(&bulk(&short), &bulk(&long), min_s);
     for _ in 0..PASSES {
         let at_rest = |windows| {
-            let quiet = RestNoise::at_rest(windows, &dwells, least_mm)?;
+            let quiet = RestNoise::at_rest(windows, &dwells, min_mm)?;
             Some(WindowScale { windows, quiet })
         };
         let Some((fine, coarse)) = at_rest(&short).zip(at_rest(&long)) else { break };
-        dwells = detect_still_dwells(&fine, &coarse, least_s);
+        dwells = detect_still_dwells(&fine, &coarse, min_s);
     }
     dwells
 }
 
 /// Detects the dwells with these thresholds.
-fn detect_still_dwells(fine: &WindowScale<'_>, coarse: &WindowScale<'_>, least_s: f64) -> Vec<Dwell> {
+fn detect_still_dwells(fine: &WindowScale<'_>, coarse: &WindowScale<'_>, min_s: f64) -> Vec<Dwell> {
     let block_s = fine.windows.block_s;
     let reach = (0.5 * coarse.windows.window_s / block_s).ceil() as usize + 2;
     let settled: Vec<StillRun> = quiet_runs(fine, coarse)
@@ -66,7 +66,7 @@ fn detect_still_dwells(fine: &WindowScale<'_>, coarse: &WindowScale<'_>, least_s
             let end_s = fine.change_point(&run, reach, DwellEdge::End).t_s;
             Dwell::whole(start.t_s - half, end_s.max(start.t_s) + half, start.sd_s)
         })
-        .filter(|dwell| dwell.duration_s() >= least_s)
+        .filter(|dwell| dwell.duration_s() >= min_s)
         .collect()
 }
 
@@ -279,10 +279,10 @@ struct ReadingWindows {
 }
 
 impl ReadingWindows {
-    /// The windows for dwells of at least `least_s`, with at least four blocks each.
-    fn of(stream: &SampleStream, width: WindowWidth, least_s: f64) -> Self {
+    /// The windows for dwells of at least `min_s`, with at least four blocks each.
+    fn of(stream: &SampleStream, width: WindowWidth, min_s: f64) -> Self {
         let block_s = width.block_s.max(1.001 * stream.period_s());
-        let count = width.count.min((width.share * least_s / block_s) as usize).max(4);
+        let count = width.count.min((width.share * min_s / block_s) as usize).max(4);
         let blocks = blocks(stream, block_s);
         let window_s = count as f64 * block_s;
         let mut slopes = vec![f64::INFINITY; blocks.len()];
@@ -363,10 +363,10 @@ struct RestNoise {
 
 impl RestNoise {
     /// Noise for the first pass, from the bulk of the whole run, which contains slow moves.
-    fn of_bulk(windows: &ReadingWindows, rests: f64, least_mm: f64) -> Self {
+    fn of_bulk(windows: &ReadingWindows, rests: f64, min_mm: f64) -> Self {
         let finite = windows.slopes.iter().filter(|slope| slope.is_finite());
         let slope_sigma = robust::bulk_scale(&mut finite.map(|slope| slope.abs()).collect::<Vec<_>>());
-        let slope_floor = least_mm / windows.window_s;
+        let slope_floor = min_mm / windows.window_s;
         let mut scatters: Vec<f64> = windows
             .slopes
             .iter()
@@ -374,13 +374,13 @@ impl RestNoise {
             .filter(|(slope, _)| slope.abs() <= rests * slope_sigma + slope_floor)
             .map(|(_, scatter)| *scatter)
             .collect();
-        let scatter_sigma = robust::median(&mut scatters).unwrap_or(0.0).max(least_mm);
+        let scatter_sigma = robust::median(&mut scatters).unwrap_or(0.0).max(min_mm);
         Self { slope_sigma, scatter_sigma, slope_floor }
     }
 
     /// Noise from the dwells of the first pass; `None` if no window lies in a dwell. Slow moves are among them: the lower
     /// quartile of their slopes is that of a rest.
-    fn at_rest(windows: &ReadingWindows, first_pass: &[Dwell], least_mm: f64) -> Option<Self> {
+    fn at_rest(windows: &ReadingWindows, first_pass: &[Dwell], min_mm: f64) -> Option<Self> {
         let (mut slopes, mut scatters, mut whites) = (Vec::new(), Vec::new(), Vec::new());
         for dwell in first_pass {
             let Some([slope, scatter]) = within(windows, dwell) else { continue };
@@ -390,8 +390,8 @@ impl RestNoise {
         }
         slopes.sort_by(f64::total_cmp);
         let slope_sigma = (slopes.get(slopes.len() / 4)? / QUARTILE).max(robust::median(&mut whites)?);
-        let scatter_sigma = robust::median(&mut scatters)?.max(least_mm);
-        Some(Self { slope_sigma, scatter_sigma, slope_floor: least_mm / windows.window_s })
+        let scatter_sigma = robust::median(&mut scatters)?.max(min_mm);
+        Some(Self { slope_sigma, scatter_sigma, slope_floor: min_mm / windows.window_s })
     }
 }
 

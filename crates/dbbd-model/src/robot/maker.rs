@@ -18,7 +18,7 @@ const WORDS: [(Maker, &[&str], &[&str]); 6] = [
     (Maker::Fanuc, &["fanuc"], &["lrmate", "crx"]),
     (Maker::Kuka, &["kuka"], &["kr"]),
     (Maker::Staubli, &["staubli", "stäubli"], &["tx", "rx"]),
-    (Maker::Universal, &["universal", "universalrobots"], &["ur"]),
+    (Maker::Universal, &["universal", "universalrobots", "ur"], &["ur"]),
     (Maker::Yaskawa, &["yaskawa", "motoman"], &[]),
 ];
 
@@ -38,8 +38,15 @@ impl Maker {
         }
     }
 
-    /// The maker that a name or the name of a file names; `None` if it names none, or several.
-    pub(super) fn named_in(text: &str) -> Option<Self> {
+    /// The maker with this name.
+    pub fn of_word(word: &str) -> Option<Self> {
+        let word = word.to_lowercase();
+        let is_named = |(_, makers, _): &&(Self, &[&str], &[&str])| makers.contains(&word.as_str());
+        WORDS.iter().find(is_named).map(|(maker, ..)| *maker)
+    }
+
+    /// The maker that a name or the name of a file names, also by a type; `None` if it names none, or several.
+    pub fn named_in(text: &str) -> Option<Self> {
         let text = text.to_lowercase();
         let words = || text.split(|sign: char| !sign.is_alphanumeric());
         let is_type = |word: &str, start: &str| {
@@ -53,7 +60,7 @@ impl Maker {
     }
 
     /// The language of its controllers.
-    pub(super) fn language(self) -> Option<&'static str> {
+    pub fn language(self) -> Option<&'static str> {
         match self {
             Self::Abb => Some("rapid"),
             Self::Fanuc => Some("fanuc"),
@@ -67,7 +74,7 @@ impl Maker {
 
     /// Whether axis 3 of an arm with one of these names is shown against the horizontal. Source: FANUC's manuals (J2/J3 interaction); for
     /// ABB's arms with a parallelogram the driver and the launch files of ROS-Industrial (`J23_coupled`).
-    pub(super) fn couples<'n>(self, mut names: impl Iterator<Item = &'n str>) -> bool {
+    pub fn couples<'n>(self, mut names: impl Iterator<Item = &'n str>) -> bool {
         const PARALLELOGRAMS: [&str; 3] = ["irb2400", "irb4400", "irb5400"];
         let is_parallelogram =
             |name: &str| PARALLELOGRAMS.iter().any(|arm| name.to_lowercase().contains(arm));
@@ -76,7 +83,7 @@ impl Maker {
 
     /// Whether its controller counts from elsewhere than the foot of the arm. FANUC's World is in the height of axis 2, that of Universal
     /// Robots is turned by half a turn against REP 103 (the makers' ROS 2 descriptions have it as the link `base`).
-    pub(super) fn counts_elsewhere(self) -> bool {
+    pub fn counts_elsewhere(self) -> bool {
         matches!(self, Self::Fanuc | Self::Universal)
     }
 }
@@ -103,5 +110,10 @@ mod tests {
         ] {
             assert_eq!(Maker::named_in(text), maker, "{text}");
         }
+        // A word is a maker's name, and not a type.
+        assert_eq!(
+            [Maker::of_word("UR"), Maker::of_word("KUKA"), Maker::of_word("ur10")],
+            [Some(Maker::Universal), Some(Maker::Kuka), None]
+        );
     }
 }
