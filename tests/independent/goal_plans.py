@@ -9,7 +9,7 @@ geometry within its tolerance, flange, tool ball, bar, base balls, first harmoni
 docs/explanation/identification.md, the smooth error of a joint is taken as nothing beyond the measured angles.
 
 An accepted plan: for each bar and each set of places poses are added one after the other and exchanged, until they leave no more
-than the poses of the plan. Ratio: the time of the plan over that of the shortest of these runs, both by the prices of the job.
+than the poses of the plan, times the goal over what robots keep after the plan. Ratio: the time of the plan over that of the shortest of these runs, both by the prices of the job.
 A refused goal: the least that any set leaves with 360 poses, times the most that accepted plans in the same kind of cell keep over
 their criterion, is to be beyond the goal; and the refusal is to say what limits it.
 
@@ -35,6 +35,9 @@ import numpy as np
 
 # Time of an accepted plan over that of the shortest run of the brute force: a plan is to be at most a quarter longer.
 MAX_RATIO = 1.25
+# A goal that is nearer than this share of it to what the brute force reaches may be refused: what robots keep over the criterion differs by
+# a few percent from plan to plan.
+RESERVE = 0.95
 # Fewer accepted plans in the same kind of cell do not say what a plan keeps over its criterion.
 MIN_LEARNT = 3
 ROBOTS = ("kr60ha", "ur10")
@@ -49,6 +52,7 @@ REPEATABILITY = 3.616                         # ISO 9283: mean and three standar
 HARMONIC_RAD, SMOOTH_RAD, SMOOTH_LENGTHS_RAD = 5e-4 * math.e, 1e-4 * math.exp(1.25), (.15, .5)
 GOAL_POSES, CANDIDATES = 100, 250             # the second: about each place
 MAX_BALLS, MIN_POSES, MAX_POSES = 4, 12, 360
+POSES_OF_BRANCH = 40                          # by which branches are compared
 BAR_S, BALL_S, POSE_S = 360.0, 240.0, 12.0    # the prices of the jobs
 REFERENCE = 1.05                              # every twentieth pose a reference is visited
 NEAR_BEST = 1.2                               # runs that are this near to the shortest one are improved
@@ -176,9 +180,9 @@ class Arm(Geometry):
         own[:, 3 * ball:3 * ball + 3], own[:, -1] = BALL_MM * u, BAR_U_MM / 2
         return Errors(np.concatenate([J * self.sd, own], 1), J[:, 12:18], np.radians(q))
 
-    def candidates(self, rng, place, bar, branch=None):
-        """Poses with the tool ball at the length of the bar from a place, no axis beyond half a turn, in one branch: without one in that
-        which has most."""
+    def candidates(self, rng, place, bar):
+        """Poses with the tool ball at the length of the bar from a place, no axis beyond half a turn: those of each branch that has at
+        least half as many as the one that has most."""
         low, high = np.clip(self.limits, -180, 180).T
         found, here = np.zeros((0, 6)), np.zeros(0, bool)
         for _ in range(40):
@@ -188,11 +192,10 @@ class Arm(Geometry):
             q = (q + 180) % 360 - 180
             found = np.concatenate([found, q[reached & self.inside(q)]])
             branches = self.branches(found)
-            most = np.bincount(branches[branches >= 0], minlength=8).argmax() if branch is None else branch
-            here = branches == most
-            if here.sum() >= CANDIDATES:
+            counts = np.bincount(branches[branches >= 0], minlength=8)
+            if counts.max() >= CANDIDATES:
                 break
-        return found[here][:CANDIDATES]
+        return [found[branches == branch][:CANDIDATES] for branch in np.flatnonzero(2 * counts >= max(counts.max(), 2))]
 
 
 class Errors:
@@ -298,30 +301,39 @@ def rms_mm(lengths, goal, noise_mm):
 
 
 class Search:
-    """All bars with all sets of at most four places that have poses. `branches` are those of a plan, by bar and place: about others poses
-    are in the branch that has most. Of a UR10 all branches have as many, so that chance decides, but not all leave as little."""
+    """All bars with all sets of at most four places that have poses. About a place they are in the branch in which poses about it alone
+    leave least: of a UR10 all branches have as many poses."""
 
-    def __init__(self, job, rng, branches):
+    def __init__(self, job, rng):
         self.arm = job.arm
         self.goal = job.arm.goal_errors(job.arm.goal_poses(rng, job.box))
         self.places = job.places
-        self.about = {bar: [job.arm.candidates(rng, place, bar, branches.get((bar, at))) for at, place in enumerate(job.places)]
-                      for bar in job.bars}
+        self.about = {bar: [self.best_branch(place, job.arm.candidates(rng, place, bar)) for place in job.places] for bar in job.bars}
         sizes = range(1, min(MAX_BALLS, len(job.places)) + 1)
         sets = [chosen for size in sizes for chosen in itertools.combinations(range(len(job.places)), size)]
         self.runs = [(bar, chosen) for bar in job.bars for chosen in sets
                      if all(len(self.about[bar][at]) >= 40 for at in chosen)]
 
+    def best_branch(self, place, branches):
+        def left(q):
+            choice = self.choice(self.arm.lengths(q, place, 0), np.zeros(len(q), int))
+            choice.extend(0.0, POSES_OF_BRANCH)
+            return choice.square
+        return min(branches, key=left, default=np.zeros((0, 6)))
+
     def lengths(self, run):
         bar, chosen = run
         return Errors.joined([self.arm.lengths(self.about[bar][at], self.places[at], ball) for ball, at in enumerate(chosen)])
 
-    def choice(self, run):
-        lengths, (errors, rest) = self.lengths(run), self.goal
+    def choice_of(self, run):
+        return self.choice(self.lengths(run), np.repeat(np.arange(len(run[1])), [len(self.about[run[0]][at]) for at in run[1]]))
+
+    def choice(self, lengths, ball_of):
+        errors, rest = self.goal
         # The chosen poses reach nearly as far as all of them.
         goal = errors.within(*np.quantile(lengths.x, [.02, .98], axis=0)), rest
         choice = Choice(lengths, goal, self.arm.sigma_mm)
-        choice.start(np.repeat(np.arange(len(run[1])), [len(self.about[run[0]][at]) for at in run[1]]))
+        choice.start(ball_of)
         return choice
 
     def shortest(self, target_mm):
@@ -329,7 +341,7 @@ class Search:
         found, best_s = [], math.inf
         time_s = lambda run, poses: BAR_S + BALL_S * len(run[1]) + REFERENCE * POSE_S * poses
         for run in self.runs:
-            choice, left_s = self.choice(run), NEAR_BEST * best_s - time_s(run, 0)
+            choice, left_s = self.choice_of(run), NEAR_BEST * best_s - time_s(run, 0)
             if choice.extend(target_mm**2, min(MAX_POSES, left_s / (REFERENCE * POSE_S))):
                 found.append((time_s(run, len(choice.chosen)), run, choice))
                 best_s = min(best_s, found[-1][0])
@@ -341,7 +353,7 @@ class Search:
         """The least that any run leaves, and its bar and places."""
         least = []
         for run in self.runs:
-            choice = self.choice(run)
+            choice = self.choice_of(run)
             choice.extend(0.0, MAX_POSES)
             least.append((math.sqrt(choice.square), run))
         return min(least, default=(math.inf, None))
@@ -387,19 +399,18 @@ def plan(dbbd, job, directory):
 
 
 class Plan:
-    """The dwells of a plan: their errors, the branch at each place, and their time in s."""
+    """The dwells of a plan: their errors, and their time in s."""
 
     def __init__(self, job, directory):
         chosen = tomllib.loads((directory / "job.toml").read_text())
         with open(directory / "plan.csv") as file:
             rows = [row for row in csv.DictReader(file) if row["kind"] != "transit"]
-        parts, self.branches, bar = [], {}, round(chosen["bar"]["length_mm"])
+        parts, bar = [], round(chosen["bar"]["length_mm"])
         for centre in chosen["centre"]:
             here = [row for row in rows if int(row["centre"]) == centre["id"]]
             q, xyz = (np.array([[float(row[key]) for key in keys] for row in here]) for keys in (AXES, ("x_mm", "y_mm", "z_mm")))
             assert abs(job.arm.ball(q) - xyz).max() < .02, "not the kinematics of dbbd"
             at = np.linalg.norm(job.places - centre["xyz_mm"], axis=1).argmin()
-            self.branches[bar, at], = set(job.arm.branches(q))  # one at each ball
             parts.append(job.arm.lengths(q, job.places[at], len(parts)))
         self.lengths, self.time_s = Errors.joined(parts), BAR_S + BALL_S * len(parts) + POSE_S * len(rows)
         self.text = f"bar {bar} mm, {len(parts)} balls, {len(rows)} dwells"
@@ -424,7 +435,7 @@ def main():
         with tempfile.TemporaryDirectory() as directory:
             planned, refusal = plan(options.dbbd.resolve(), job, pathlib.Path(directory))
             if refusal is not None:
-                min_mm, run = Search(job, rng, {}).min_mm()
+                min_mm, run = Search(job, rng).min_mm()
                 refused.append((about, job, refusal, min_mm, run))
                 continue
             header = json.loads((planned / "plan.json").read_text())
@@ -432,10 +443,11 @@ def main():
                 print(f"{about}: a stage, not compared")
                 continue
             found = Plan(job, planned)
-        search = Search(job, rng, found.branches)
+        search = Search(job, rng)
         criterion_mm = rms_mm(found.lengths, search.goal, job.arm.sigma_mm)
         reached_mm = header["goal"]["reached_mm"]
-        best_s, run, poses = search.shortest(criterion_mm)
+        # A plan may leave less than the goal: the brute force is to reach the goal, by what robots keep over the criterion.
+        best_s, run, poses = search.shortest(criterion_mm * max(job.goal_mm / reached_mm, 1.0))
         # Where no run of the brute force leaves as little, none is shorter.
         ratios.append(found.time_s / best_s if run else 1.0)
         kept[job.kind].append(reached_mm / criterion_mm)
@@ -447,13 +459,13 @@ def main():
     for about, job, refusal, min_mm, run in refused:
         codes = sorted(set(re.findall(r"\b[EI]\d{4}\b", refusal)))
         stated = re.search(r"leaves ([\d.]+) mm", refusal)
-        of_kind = kept[job.kind]
+        of_kind = kept.get(job.kind, [])
         kept_mm = min_mm * max(of_kind, default=math.nan)
         is_judged = len(of_kind) >= MIN_LEARNT
         judged += is_judged
         print(f"{about}: refused by {' '.join(codes)}, best {stated[1] if stated else '?'} mm; brute force leaves {min_mm:.3f}, robots "
               f"keep {kept_mm:.3f} mm, {run and f'bar {run[0]} mm, {len(run[1])} balls'}{'' if is_judged else ', not judged'}")
-        if is_judged and kept_mm <= job.goal_mm:
+        if is_judged and kept_mm <= RESERVE * job.goal_mm:
             violated.append(f"{about}: refused, but {kept_mm:.3f} mm can be kept")
         if not ("E0750" in codes and any(code in codes for code in ("I0751", "I0752", "I0753"))):
             violated.append(f"{about}: the refusal names no limit: {' '.join(codes)}")

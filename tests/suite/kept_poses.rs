@@ -77,13 +77,14 @@ impl Kept {
 }
 
 /// The lengths with the places of the balls.
-struct Robot60 {
-    poses: Vec<Vec<Measurement>>,
-    balls: [Vector3<f64>; 3],
+pub(crate) struct Robot60 {
+    /// The lengths to the three balls at each pose.
+    pub(crate) poses: Vec<Vec<Measurement>>,
+    pub(crate) balls: [Vector3<f64>; 3],
 }
 
 impl Robot60 {
-    fn read() -> Self {
+    pub(crate) fn read() -> Self {
         let path = data("kr60/three_balls_approach.csv");
         let text = fs::read_to_string(&path).unwrap();
         let all = Measurements::from_csv(path.to_str().unwrap(), &text).unwrap();
@@ -139,7 +140,7 @@ impl Robot60 {
     }
 
     /// Where the three lengths of a pose say that the ball was, near `place`.
-    fn trilaterated(&self, pose: usize, mut place: Vector3<f64>) -> Option<Vector3<f64>> {
+    pub(crate) fn trilaterated(&self, pose: usize, mut place: Vector3<f64>) -> Option<Vector3<f64>> {
         let units = |place: Vector3<f64>| {
             let away = self.balls.map(|ball| (place - ball).normalize());
             Matrix3::from_fn(|i, j| away[i][j])

@@ -70,6 +70,7 @@ mod plan_command;
 mod plan_is_refused_with_a_reason;
 mod plan_states_the_result;
 mod plans_keep_the_stroke;
+mod plans_of_measured_poses;
 mod positions_identify;
 mod programs_of_other_makes;
 mod protocols_command;

@@ -6,14 +6,22 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::clearance::LineSegment;
+use super::job::BaseBallTable;
+use super::prior::length_sigma_mm;
 use super::quantity::CheckQuantity;
+use super::workspace::goal_poses;
 use super::{BarPresence, CandidateConditions, PlanKinematics, PlanningCell, PlanningPrior, StrokeMargin};
-use dbbd_model::design::{Candidate, Sphere};
+use dbbd_model::design::placement::best_branch;
+use dbbd_model::design::{Candidate, Sphere, tool_rows};
+use dbbd_model::estimation::Posterior;
 use dbbd_model::robot::inverse::{clearance, status};
 use dbbd_model::robot::{AXES, BallId};
 
 /// Length of the bar at the base ball that is not checked, mm: there the bar is in the cup, whose limit guards it.
 const IN_CUP_MM: f64 = 50.0;
+/// Poses about a ball in each branch of the arm by which branches are compared, and poses of each tool over which they are.
+const BRANCH_CANDIDATES: usize = 150;
+const BRANCH_WORKSPACE_POSES: usize = 100;
 /// Number of robots drawn: at a risk of 1e-3 the share has a relative standard deviation of a fifth.
 const ROBOTS: usize = 20_000;
 /// Poses with less than this share of the greatest risk are neglected.
@@ -97,8 +105,13 @@ impl<'a> PlanningCell<'a> {
         count: usize,
         reach: &CandidateConditions,
     ) -> Vec<Candidate> {
+        self.by_branch(centre, count, reach).into_iter().max_by_key(Vec::len).unwrap_or_default()
+    }
+
+    /// Candidates about a base ball (from 1), those of each branch of the arm.
+    fn by_branch(&self, centre: u32, count: usize, reach: &CandidateConditions) -> [Vec<Candidate>; 8] {
         let job = self.rig.job;
-        let Some((id, table)) = BallId::new(centre).zip(job.ball(centre)) else { return Vec::new() };
+        let Some((id, table)) = BallId::new(centre).zip(job.ball(centre)) else { return Default::default() };
         let sphere = Sphere {
             arm: self.rig.arm,
             controller: self.rig.controller,
@@ -108,10 +121,30 @@ impl<'a> PlanningCell<'a> {
             near: reach.near.as_ref(),
         };
         let seed = u64::from(job.seed) << 8 | u64::from(centre);
-        sphere.candidates(count, seed, |axes| {
-            reach.branch.is_none_or(|branch| status(self.rig.arm, axes) & 7 == branch)
+        sphere.by_branch(count, seed, |axes| {
+            reach.branch.is_none_or(|branch| self.branch_of(axes) == branch)
                 && self.allows(axes, centre, reach.risk)
         })
+    }
+
+    /// The branch of the arm in which a base ball is measured: that in which it was taught, else that in which poses leave the smallest
+    /// position error of what is known, without regard to their risk. `None` if no pose can be reached.
+    pub(super) fn branch(&self, table: &BaseBallTable, known: &Posterior) -> Option<u8> {
+        if let Some(taught_deg) = table.taught_deg {
+            return Some(self.branch_of(&taught_deg.map(f64::to_radians)));
+        }
+        let PlanKinematics { job, controller, .. } = self.rig;
+        let known = known.with_ball(Vector3::from(table.xyz_mm));
+        let errors = tool_rows(&known, &goal_poses(job, controller, BRANCH_WORKSPACE_POSES));
+        let anywhere = CandidateConditions { risk: 1.0, branch: None, near: None };
+        let branches = self.by_branch(table.id, BRANCH_CANDIDATES, &anywhere);
+        let best = best_branch(branches, &known, &errors, length_sigma_mm(job, controller))?;
+        best.first().map(|pose| self.branch_of(&pose.axes))
+    }
+
+    /// The status bits of the branch of the arm.
+    fn branch_of(&self, axes: &[f64; AXES]) -> u8 {
+        status(self.rig.arm, axes) & 7
     }
 
     /// Standard deviation of the length of a pose, mm.

@@ -360,13 +360,13 @@ impl<'a> PoseChooser<'a> {
         let candidates = |count, branch, near| {
             anywhere.candidates(table.id, count, &CandidateConditions { risk: 1.0, branch, near })
         };
-        // If the ball was taught, the risk is least in that branch and orientation.
-        let taught = table.taught_deg.map(|deg| deg.map(f64::to_radians));
-        let branch = taught.map(|axes| status(rig.arm, &axes) & 7);
-        let reach = candidates(self.candidates, branch, None);
-        let first = reach.first().ok_or(PlanFinding::NoPose { ball: table.id })?;
-        let branch = Some(status(rig.arm, &first.axes) & 7);
-        let near = match taught {
+        let branch = anywhere.branch(table, &self.prior.posterior);
+        let reach = branch.map_or(Vec::new(), |_| candidates(self.candidates, branch, None));
+        if reach.is_empty() {
+            return Err(PlanFinding::NoPose { ball: table.id });
+        }
+        // If the ball was taught, the risk is least in that orientation.
+        let near = match table.taught_deg.map(|deg| deg.map(f64::to_radians)) {
             Some(axes) => {
                 let orientation = rig.arm.ball(&axes).rotation;
                 let exactly = candidates(COMPARED / 2, branch, Some(Near::exactly(orientation)));

@@ -59,14 +59,23 @@ pub struct Sphere<'a> {
 }
 
 impl Sphere<'_> {
-    /// Poses in random directions that `allows` accepts, in random order. All are in one configuration of the arm: the
-    /// one with most poses.
+    /// Poses in random directions that `allows` accepts, in random order. All are in one branch of the arm: the one with most poses.
     pub fn candidates(
         &self,
         count: usize,
         seed: u64,
         allows: impl Fn(&[f64; AXES]) -> bool,
     ) -> Vec<Candidate> {
+        self.by_branch(count, seed, allows).into_iter().max_by_key(Vec::len).unwrap_or_default()
+    }
+
+    /// Poses in random directions that `allows` accepts, in random order: those of each branch of the arm, until one has `count`.
+    pub fn by_branch(
+        &self,
+        count: usize,
+        seed: u64,
+        allows: impl Fn(&[f64; AXES]) -> bool,
+    ) -> [Vec<Candidate>; 8] {
         let mut random = Pcg64::seed_from_u64(seed);
         let mut by_branch: [Vec<Candidate>; 8] = Default::default();
         let mut left = PATIENCE.saturating_mul(u32::try_from(count).unwrap_or(u32::MAX));
@@ -87,12 +96,13 @@ impl Sphere<'_> {
                 }
             }
         }
-        let mut most = by_branch.into_iter().max_by_key(Vec::len).unwrap_or_default();
-        most.truncate(count);
-        for i in (1..most.len()).rev() {
-            most.swap(i, random.random_range(0..=i));
+        for found in &mut by_branch {
+            found.truncate(count);
+            for i in (1..found.len()).rev() {
+                found.swap(i, random.random_range(0..=i));
+            }
         }
-        most
+        by_branch
     }
 
     /// A pose in a random direction. `half` says whether it belongs to the half that [`Near::angle_rad`] restricts.

@@ -14,6 +14,9 @@ use crate::robot::BallId;
 /// Poses about each ball that come first: a ball has three coordinates.
 const POSES_OF_BALL: usize = 4;
 
+/// Poses by which branches are compared: as many as a short run has about a ball.
+const POSES_OF_BRANCH: usize = 40;
+
 /// A place of a base ball, with poses about it.
 #[derive(Clone, Debug)]
 pub struct BallPlace {
@@ -47,27 +50,7 @@ impl Placement<'_> {
     /// number among the poses of all places, with the root mean square of the position error after each, mm.
     pub fn chosen(&self, places: &[&BallPlace], max: usize, enough_mm: f64) -> (Vec<usize>, Vec<f64>) {
         let (rows, errors) = self.rows(places);
-        let mut exchange = Exchange::new(&rows, &errors);
-        // The first poses about a ball only show where the ball is.
-        let of_balls = POSES_OF_BALL * places.len();
-        let error_with = |count| {
-            let criterion = if count <= of_balls { Criterion::D } else { Criterion::I };
-            if count == of_balls + 1 {
-                exchange.renew(criterion);
-            }
-            exchange.extend(count, criterion);
-            (exchange.chosen().len() == count).then(|| exchange.rms_error_mm())
-        };
-        let mut errors_mm = Vec::new();
-        for error in (1..=max).map_while(error_with).take_while(|error| error.is_finite()) {
-            errors_mm.push(error);
-            if error <= enough_mm {
-                break;
-            }
-        }
-        let mut chosen = exchange.chosen().to_vec();
-        chosen.truncate(errors_mm.len());
-        (chosen, errors_mm)
+        one_after_the_other(&rows, &errors, places.len(), max, enough_mm)
     }
 
     fn rows(&self, places: &[&BallPlace]) -> (DMatrix<f64>, DMatrix<f64>) {
@@ -75,6 +58,64 @@ impl Placement<'_> {
         let known = (self.prior)(&positions);
         (design_rows(&known, &all_poses(places), self.sigma_mm), (self.errors)(&known))
     }
+}
+
+/// Poses of `rows` about a number of balls as [`Placement::chosen`] has them.
+fn one_after_the_other(
+    rows: &DMatrix<f64>,
+    errors: &DMatrix<f64>,
+    balls: usize,
+    max: usize,
+    enough_mm: f64,
+) -> (Vec<usize>, Vec<f64>) {
+    let mut exchange = Exchange::new(rows, errors);
+    // The first poses about a ball only show where the ball is.
+    let of_balls = POSES_OF_BALL * balls;
+    let error_with = |count| {
+        let criterion = if count <= of_balls { Criterion::D } else { Criterion::I };
+        if count == of_balls + 1 {
+            exchange.renew(criterion);
+        }
+        exchange.extend(count, criterion);
+        (exchange.chosen().len() == count).then(|| exchange.rms_error_mm())
+    };
+    let mut errors_mm = Vec::new();
+    for error in (1..=max).map_while(error_with).take_while(|error| error.is_finite()) {
+        errors_mm.push(error);
+        if error <= enough_mm {
+            break;
+        }
+    }
+    let mut chosen = exchange.chosen().to_vec();
+    chosen.truncate(errors_mm.len());
+    (chosen, errors_mm)
+}
+
+/// Of poses about one more base ball, in several branches of the arm, those that leave the smallest position error: `known` is what is
+/// known with the ball as its last one, `errors` are the position errors that matter, as [`super::workspace_rows`] has them. A branch
+/// with less than half as many poses as another one is narrow, and is left out. `None` if there is no pose.
+pub fn best_branch(
+    branches: impl IntoIterator<Item = Vec<Candidate>>,
+    known: &Posterior,
+    errors: &DMatrix<f64>,
+    sigma_mm: f64,
+) -> Option<Vec<Candidate>> {
+    let mut branches: Vec<Vec<Candidate>> = branches.into_iter().filter(|poses| !poses.is_empty()).collect();
+    let most = branches.iter().map(Vec::len).max()?;
+    branches.retain(|poses| 2 * poses.len() >= most);
+    if branches.len() == 1 {
+        return branches.pop();
+    }
+    let ball = BallId::at(known.model.balls.len().saturating_sub(1));
+    let left_mm = |poses: &Vec<Candidate>| {
+        let about: Vec<Candidate> = poses.iter().map(|pose| Candidate { ball, ..pose.clone() }).collect();
+        let (_, errors_mm) =
+            one_after_the_other(&design_rows(known, &about, sigma_mm), errors, 1, POSES_OF_BRANCH, 0.0);
+        errors_mm.last().copied().unwrap_or(f64::INFINITY)
+    };
+    let errors_mm = map_items(&branches, left_mm);
+    let best = errors_mm.into_iter().zip(branches).min_by(|a, b| a.0.total_cmp(&b.0));
+    best.map(|(_, poses)| poses)
 }
 
 /// The poses of all places, each about the ball that has its place's number.
@@ -204,8 +245,9 @@ impl PlacementSearch<'_> {
 mod tests {
     use super::*;
     use crate::design::{Sphere, workspace_rows};
-    use crate::estimation::Priors;
+    use crate::estimation::{Priors, with_mean_joint_errors};
     use crate::measurement::{BaseBall, LengthModel};
+    use crate::robot::inverse::status;
     use crate::robot::{AXES, Robot};
     use crate::test_support::cell::kr60;
 
@@ -271,6 +313,44 @@ mod tests {
         // An exchange leaves no more.
         assert!(placement.error_mm(&places, 14).unwrap() <= errors_mm[13] * (1.0 + 1e-9));
         assert_eq!(placement.error_mm(&places, 25), None);
+    }
+
+    /// A UR10 has as many poses in each of its eight branches. Errors at poses of one branch are determined best by lengths in that
+    /// branch or in one that is near to it: others leave more than a tenth more, by exchanges.
+    #[test]
+    fn branch_is_the_one_that_leaves_least() {
+        let robot = Robot::by_name_with_tool("ur10", [30.0, 20.0, 10.0]).unwrap().unwrap();
+        let ball = Vector3::new(600.0, 100.0, 300.0);
+        let sphere = Sphere {
+            arm: &robot.geometry,
+            controller: &robot,
+            id: BallId::FIRST,
+            ball,
+            radius_mm: 420.0,
+            near: None,
+        };
+        let branches = sphere.by_branch(80, 3, |_| true);
+        let mut poses = crate::estimation::Workspace::uniform(&robot, 400, 4);
+        poses.retain(|axes| status(&robot.geometry, axes) & 7 == 2);
+        let (prior, known) = (|balls: &[Vector3<f64>]| prior(&robot, balls), prior(&robot, &[ball]));
+        let known = with_mean_joint_errors(&known, &robot);
+        let prior = |balls: &[Vector3<f64>]| with_mean_joint_errors(&prior(balls), &robot);
+        let errors = |known: &Posterior| workspace_rows(known, &poses);
+        let placement = Placement { prior: &prior, errors: &errors, sigma_mm: SIGMA_MM };
+        let left_mm = |poses: &Vec<Candidate>| {
+            placement.error_mm(&[&BallPlace { position: ball, poses: poses.clone() }], 40).unwrap()
+        };
+        let all_mm: Vec<f64> = branches.iter().filter(|poses| poses.len() >= 40).map(left_mm).collect();
+        let smallest = all_mm.iter().copied().fold(f64::INFINITY, f64::min);
+        let best = best_branch(branches.clone(), &known, &errors(&known), SIGMA_MM).unwrap();
+        assert!(left_mm(&best) < 1.03 * smallest, "{} {all_mm:?}", left_mm(&best));
+        assert!(all_mm.iter().any(|error| *error > 1.1 * smallest), "{all_mm:?}");
+        // A branch with less than half as many poses as another one is not compared.
+        let other = branches.iter().find(|poses| poses.len() >= 40 && **poses != best).unwrap();
+        let narrow = best[..other.len() / 2 - 1].to_vec();
+        let found = best_branch([narrow, other.clone()], &known, &errors(&known), SIGMA_MM);
+        assert_eq!(found.as_ref(), Some(other));
+        assert_eq!(best_branch([Vec::new()], &known, &errors(&known), SIGMA_MM), None);
     }
 
     /// All sets of three places, each with the least number of poses of which an exchange leaves at most the goal: the search takes at

@@ -19,6 +19,11 @@ impl GoalRun {
         (self.bar, self.set) == (other.bar, other.set)
     }
 
+    /// The smallest number of poses that are more than nearly as many.
+    pub(super) fn with_more_poses(&self) -> usize {
+        (self.poses as f64 * (1.0 + NEARLY)).floor() as usize + 1
+    }
+
     pub(super) fn class(&self) -> RunClass {
         (self.bar, self.balls)
     }

@@ -34,8 +34,9 @@ const GOAL_POSES: usize = 300;
 const PLANS: usize = 5;
 /// A plan that leaves less than this share of the goal has more poses than it needs.
 const MUCH_BETTER: f64 = 0.93;
-/// A plan aims at the middle of what is good enough, and after each one that falls short by this share lower: the plans of two runs with
-/// nearly as many poses differ by a few percent, and not always in favour of the longer one.
+/// A plan aims at the middle of what is good enough. After the first one that falls short the next aims lower by this share, then by its
+/// square, its fourth power and so on: the plans of two runs with nearly as many poses differ by a few percent, not always in favour of the
+/// longer one, and of runs with few poses by more.
 const AIM: f64 = 0.965;
 /// A source of uncertainty without which more than this share is left does not limit a goal.
 const LIMITS: f64 = 0.97;
@@ -83,11 +84,13 @@ impl GoalPlanner<'_> {
         let mut judged = self.judged_runs()?;
         let goal_mm = self.goal.position_mm;
         let (mut shortest, mut refused) = (None::<GoalPlan>, Vec::<(GoalRun, Refusal)>::new());
-        let (mut tried, mut aim_mm) = (Vec::new(), AIM * goal_mm);
+        let (mut tried, mut aim_mm, mut lower) = (Vec::new(), AIM * goal_mm, AIM);
+        let mut short = Vec::<GoalRun>::new();
         for _ in 0..PLANS {
             // Other balls may have ways where the poses about some have none.
             let is_refused = |run: &GoalRun| refused.iter().any(|(other, _)| other.is_about(run));
-            let run = self.search.shortest(|run| (!is_refused(run)).then(|| judged.wanted_mm(run, aim_mm)));
+            let wanted = |run: &GoalRun| (!is_refused(run)).then(|| judged.wanted_mm(run, aim_mm));
+            let run = self.search.shortest_beyond(&short, wanted);
             let Some(run) = run.filter(|run| self.is_in_time(run) && !tried.contains(run)) else { break };
             tried.push(run);
             let found = match self.planned(&run, &judged) {
@@ -107,13 +110,18 @@ impl GoalPlanner<'_> {
             if is_reached && is_close {
                 break;
             }
-            if reached_mm > goal_mm {
-                aim_mm *= AIM;
-            }
+            (aim_mm, lower) = if reached_mm > goal_mm {
+                short.push(run);
+                (aim_mm * lower, lower * lower)
+            } else {
+                (AIM * goal_mm, AIM)
+            };
         }
+        let mut best_mm = None;
         if shortest.is_none() && refused.is_empty() {
             let most = self.search.best_in(self.goal.minutes, |_| true);
             let most = most.and_then(|run| self.planned(&run, &judged).ok());
+            best_mm = most.as_ref().map(|found| found.outcome.reached_mm);
             shortest = most.filter(|found| self.is_reached(&found.outcome));
         }
         match (shortest, refused.pop()) {
@@ -122,7 +130,7 @@ impl GoalPlanner<'_> {
                 Ok((plan, known))
             }
             (None, Some((_, refusal))) => Err(refusal),
-            (None, None) => Err(self.refusal(&judged)?),
+            (None, None) => Err(self.refusal(&judged, best_mm)?),
         }
     }
 
@@ -215,8 +223,9 @@ impl GoalPlanner<'_> {
         errors.get(kept.saturating_sub(1)).copied().filter(|error| error.is_finite())
     }
 
-    /// The best run leaves more than the goal in the time that is available: what would reach it, or what limits it.
-    fn refusal(&self, judged: &KeptErrors) -> Result<Refusal, Refusal> {
+    /// The best run leaves more than the goal in the time that is available, `planned_mm` by its plan: what would reach it, or what
+    /// limits it.
+    fn refusal(&self, judged: &KeptErrors, planned_mm: Option<f64>) -> Result<Refusal, Refusal> {
         let Some(best) = self.search.best_in(self.goal.minutes, |_| true) else {
             return Ok(Diagnostic::from(PlanFinding::NoTimeForPoses).into());
         };
@@ -226,7 +235,9 @@ impl GoalPlanner<'_> {
         let best_mm = left(&known).unwrap_or(point.position_mm);
         let (goal_mm, of) = (self.goal.position_mm, self.goal.of.name());
         let GoalPoint { minutes, poses, balls, bar_mm, .. } = point;
-        let not_reached = PlanFinding::GoalNotReached { goal_mm, of, best_mm, minutes, poses, balls, bar_mm };
+        let left_mm = planned_mm.unwrap_or(best_mm);
+        let not_reached =
+            PlanFinding::GoalNotReached { goal_mm, of, best_mm: left_mm, minutes, poses, balls, bar_mm };
         let longer = self.search.shortest(|run| Some(judged.wanted_mm(run, goal_mm))).map(|run| {
             let GoalPoint { minutes, poses, balls, bar_mm, .. } = self.search.point(&run, judged, 1.0);
             PlanFinding::GoalTakesLonger { minutes, poses, balls, bar_mm }

@@ -85,9 +85,19 @@ impl<'a> GoalSearch<'a> {
     /// The shortest run that leaves at most the root mean square `error_mm` of its bar and balls; `None` for those that are not
     /// wanted.
     pub(super) fn shortest(&self, error_mm: impl Fn(&GoalRun) -> Option<f64>) -> Option<GoalRun> {
+        self.shortest_beyond(&[], error_mm)
+    }
+
+    /// As [`Self::shortest`]; runs about the balls of those that were too short have more poses.
+    pub(super) fn shortest_beyond(
+        &self,
+        short: &[GoalRun],
+        error_mm: impl Fn(&GoalRun) -> Option<f64>,
+    ) -> Option<GoalRun> {
         let with_poses = |run: GoalRun| {
             let (_, set) = self.of(&run);
-            let poses = set.poses_for(error_mm(&run)?)?.max(MIN_POSES);
+            let of_short = short.iter().filter(|other| other.is_about(&run)).map(GoalRun::with_more_poses);
+            let poses = of_short.fold(set.poses_for(error_mm(&run)?)?, usize::max).max(MIN_POSES);
             (poses <= set.errors_mm.len()).then_some(GoalRun { poses, ..run })
         };
         let runs = self.sets().filter_map(with_poses);
@@ -194,15 +204,18 @@ impl<'a> GoalSearch<'a> {
 impl BarRuns {
     fn new(job: &Job, goal: &GoalTable, bar: JobBar, robot: &Robot, known: &PlanningPrior) -> Self {
         let job = Job { bar, ..job.clone() };
-        let (balls, places): (Vec<_>, Vec<_>) = places(&job, robot).into_iter().unzip();
         let prices = prices(&job, goal);
         let tools = goal_poses(&job, robot, SEARCH_POSES);
         let of_maker = PlanningPrior::of_maker(&job.with_centres([]), robot);
-        let prior = |balls: &[Vector3<f64>]| {
-            let before = if known.lengths() > 0 { &known.posterior } else { &of_maker };
-            let further = balls.iter().skip(before.model.balls.len());
-            let known = further.fold(before.clone(), |known, ball| known.with_ball(*ball));
+        let before = if known.lengths() > 0 { &known.posterior } else { &of_maker };
+        let with_joint_errors = |known: Posterior| {
             if known.coefficients() > 0 { known } else { with_mean_joint_errors(&known, robot.controller()) }
+        };
+        let places = places(&job, robot, &with_joint_errors(before.clone()));
+        let (balls, places): (Vec<_>, Vec<_>) = places.into_iter().unzip();
+        let prior = |balls: &[Vector3<f64>]| {
+            let further = balls.iter().skip(before.model.balls.len());
+            with_joint_errors(further.fold(before.clone(), |known, ball| known.with_ball(*ball)))
         };
         let errors = |known: &Posterior| tool_rows(known, &tools);
         let search = PlacementSearch {
@@ -235,8 +248,8 @@ fn prices(job: &Job, goal: &GoalTable) -> RunPrices {
 }
 
 /// The balls that are mounted already, then balls at places of the job that have enough poses, with these poses.
-fn places(job: &Job, robot: &Robot) -> Vec<(BaseBallTable, BallPlace)> {
-    let with_poses = |table: &BaseBallTable| (table.clone(), ball_place(job, robot, table));
+fn places(job: &Job, robot: &Robot, known: &Posterior) -> Vec<(BaseBallTable, BallPlace)> {
+    let with_poses = |table: &BaseBallTable| (table.clone(), ball_place(job, robot, table, known));
     let mounted = map_items(&job.centres, with_poses);
     let free: Vec<BaseBallTable> = job.places.iter().flat_map(points).collect();
     let mut free = map_items(&free, with_poses);
@@ -246,15 +259,18 @@ fn places(job: &Job, robot: &Robot) -> Vec<(BaseBallTable, BallPlace)> {
 }
 
 /// A ball with poses about it that keep the limits of the job, whatever their risk.
-fn ball_place(job: &Job, robot: &Robot, table: &BaseBallTable) -> BallPlace {
+fn ball_place(job: &Job, robot: &Robot, table: &BaseBallTable, known: &Posterior) -> BallPlace {
     let job = job.with_centres([table.clone()]);
     let position = Vector3::from(table.xyz_mm);
     if job.check_places(robot.controller()).is_err() {
         return BallPlace { position, poses: Vec::new() };
     }
     let (rig, prior) = (PlanKinematics::new(&job, robot), PlanningPrior::datasheet(&job, robot));
-    let anywhere = CandidateConditions { risk: 1.0, branch: None, near: None };
-    let poses = PlanningCell::new(rig, &prior, 1, &[0.0; 6]).candidates(1, CANDIDATES, &anywhere);
+    let anywhere = PlanningCell::new(rig, &prior, 1, &[0.0; 6]);
+    let about = BaseBallTable { id: 1, ..table.clone() };
+    let branch = anywhere.branch(&about, known);
+    let conditions = CandidateConditions { risk: 1.0, branch, near: None };
+    let poses = branch.map_or(Vec::new(), |_| anywhere.candidates(1, CANDIDATES, &conditions));
     BallPlace { position, poses }
 }
 
