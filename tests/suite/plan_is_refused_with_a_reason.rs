@@ -139,8 +139,8 @@ fn risky() -> String {
 /// About a ball near the base of the robot, which few poses reach.
 fn few() -> String {
     replaced(&[
-        ("[1300.0, 0.0, 800.0]", "[450.0, 0.0, 300.0]"),
-        (CIRCLE, "[optimise]\npoints = 16\ncandidates = 200\n[limits]\nmin_a5_deg = 76.0\n"),
+        ("[1300.0, 0.0, 800.0]", "[420.0, 0.0, 250.0]"),
+        (CIRCLE, "[optimise]\npoints = 16\ncandidates = 200\n[limits]\nmin_a5_deg = 83.0\n"),
     ])
 }
 

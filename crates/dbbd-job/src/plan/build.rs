@@ -28,6 +28,13 @@ struct SafetyMargin {
     clearance_mm: f64,
 }
 
+/// Where the poses of an attempt come from: they are given, or chosen in the branches of the arm of this rank by the error that they leave.
+#[derive(Clone, Copy)]
+struct PoseSource<'a> {
+    given: Option<&'a [Candidate]>,
+    rank: usize,
+}
+
 /// Degrees of caution that are tried in turn.
 const CAUTION: [SafetyMargin; 3] = [
     SafetyMargin { risk_share: 1.0, clearance_mm: 0.0 },
@@ -69,18 +76,35 @@ impl Plan {
         given: Option<&[Candidate]>,
     ) -> Result<Self, Refusal> {
         job.check().map_err(|misplaced| *misplaced.finding)?;
-        let plan = Self::cautious(job, robot, prior, given);
+        let plan = Self::in_a_branch(job, robot, prior, given);
         // Before the first length a ball can still be taught from elsewhere: try without `taught_deg`.
         let taught = job.centres.iter().any(|table| table.taught_deg.is_some());
         match plan {
             Err(refusal) if refusal.is_for_place() && prior.lengths() == 0 && taught => {
                 let job = job.untaught();
                 let mut plan =
-                    Self::cautious(&job, robot, &prior.before_teaching(), given).map_err(|_| refusal)?;
+                    Self::in_a_branch(&job, robot, &prior.before_teaching(), given).map_err(|_| refusal)?;
                 let again =
                     plan.header.taught.iter().map(|ball| PlanFinding::TeachAgain { ball: ball.centre });
                 plan.header.notes.extend(again);
                 Ok(plan)
+            }
+            plan => plan,
+        }
+    }
+
+    /// Chooses poses in the branches of the arm that leave the smallest errors, or in the next ones if a plan there is refused for its risk.
+    fn in_a_branch(
+        job: &Job,
+        robot: &Robot,
+        prior: &PlanningPrior,
+        given: Option<&[Candidate]>,
+    ) -> Result<Self, Refusal> {
+        let in_branch = |rank| Self::cautious(job, robot, prior, PoseSource { given, rank });
+        let is_free = given.is_none() && job.centres.iter().any(|table| table.taught_deg.is_none());
+        match in_branch(0) {
+            Err(refusal) if refusal.is_for_place() && job.optimise.is_some() && is_free => {
+                in_branch(1).map_err(|_| refusal)
             }
             plan => plan,
         }
@@ -91,13 +115,13 @@ impl Plan {
         job: &Job,
         robot: &Robot,
         prior: &PlanningPrior,
-        given: Option<&[Candidate]>,
+        source: PoseSource<'_>,
     ) -> Result<Self, Refusal> {
         let [first, further @ ..] = CAUTION;
-        match Self::attempt(job, robot, prior, given, first) {
+        match Self::attempt(job, robot, prior, source, first) {
             Err(refusal) if refusal.is_for_caution() && job.circles.is_empty() => {
                 let mut plans =
-                    further.into_iter().map(|caution| Self::attempt(job, robot, prior, given, caution));
+                    further.into_iter().map(|caution| Self::attempt(job, robot, prior, source, caution));
                 plans.find_map(Result::ok).ok_or(refusal)
             }
             plan => plan,
@@ -108,7 +132,7 @@ impl Plan {
         job: &Job,
         robot: &Robot,
         prior: &PlanningPrior,
-        given: Option<&[Candidate]>,
+        source: PoseSource<'_>,
         caution: SafetyMargin,
     ) -> Result<Self, Refusal> {
         let job = orientations::chosen(&PlanKinematics::new(job, robot), prior)?;
@@ -118,9 +142,9 @@ impl Plan {
             let mut wary = job.clone();
             wary.limits.min_clearance_mm += caution.clearance_mm;
             let (rig, share) = (PlanKinematics::new(&wary, robot), caution.risk_share);
-            let chosen = match given {
+            let chosen = match source.given {
                 Some(poses) => optimise::given_steps(&rig, prior, poses, share)?,
-                None => optimise::choose_steps(&rig, prior, share)?,
+                None => optimise::choose_steps(&rig, prior, share, source.rank)?,
             };
             steps.extend(chosen.steps);
             (notes, stage) = (chosen.notes, chosen.stage);

@@ -11,7 +11,7 @@ use super::prior::length_sigma_mm;
 use super::quantity::CheckQuantity;
 use super::workspace::goal_poses;
 use super::{BarPresence, CandidateConditions, PlanKinematics, PlanningCell, PlanningPrior, StrokeMargin};
-use dbbd_model::design::placement::best_branch;
+use dbbd_model::design::placement::ordered_branches;
 use dbbd_model::design::{Candidate, Sphere, tool_rows};
 use dbbd_model::estimation::Posterior;
 use dbbd_model::robot::inverse::{clearance, status};
@@ -127,19 +127,19 @@ impl<'a> PlanningCell<'a> {
         })
     }
 
-    /// The branch of the arm in which a base ball is measured: that in which it was taught, else that in which poses leave the smallest
-    /// position error of what is known, without regard to their risk. `None` if no pose can be reached.
-    pub(super) fn branch(&self, table: &BaseBallTable, known: &Posterior) -> Option<u8> {
+    /// The branches of the arm in which a base ball may be measured: that in which it was taught, else those in which poses leave the
+    /// smallest position error of what is known first, without regard to their risk. Empty if no pose can be reached.
+    pub(super) fn branches(&self, table: &BaseBallTable, known: &Posterior) -> Vec<u8> {
         if let Some(taught_deg) = table.taught_deg {
-            return Some(self.branch_of(&taught_deg.map(f64::to_radians)));
+            return vec![self.branch_of(&taught_deg.map(f64::to_radians))];
         }
         let PlanKinematics { job, controller, .. } = self.rig;
         let known = known.with_ball(Vector3::from(table.xyz_mm));
         let errors = tool_rows(&known, &goal_poses(job, controller, BRANCH_WORKSPACE_POSES));
         let anywhere = CandidateConditions { risk: 1.0, branch: None, near: None };
         let branches = self.by_branch(table.id, BRANCH_CANDIDATES, &anywhere);
-        let best = best_branch(branches, &known, &errors, length_sigma_mm(job, controller))?;
-        best.first().map(|pose| self.branch_of(&pose.axes))
+        let ordered = ordered_branches(branches, &known, &errors, length_sigma_mm(job, controller));
+        ordered.iter().filter_map(|poses| Some(self.branch_of(&poses.first()?.axes))).collect()
     }
 
     /// The status bits of the branch of the arm.

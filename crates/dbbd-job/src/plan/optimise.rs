@@ -163,11 +163,13 @@ impl Route {
     }
 }
 
-/// Chooses the job's poses, with this share of the allowed risk.
+/// Chooses the job's poses, with this share of the allowed risk, about each ball in the branch of the arm of this rank by the error that
+/// poses there leave, or in the last one.
 pub(super) fn choose_steps(
     rig: &PlanKinematics<'_>,
     prior: &PlanningPrior,
     share: f64,
+    rank: usize,
 ) -> Result<ChosenSteps, Refusal> {
     let job = rig.job;
     let wanted = job.optimise.clone().unwrap_or_default();
@@ -175,7 +177,7 @@ pub(super) fn choose_steps(
     let candidates = wanted.candidates as usize / job.centres.len().max(1);
     let chooser = PoseChooser { rig: *rig, prior, risk, candidates };
     let scans: Result<Vec<ReachablePoses>, PlanFinding> =
-        job.centres.iter().map(|table| chooser.scan(table)).collect();
+        job.centres.iter().map(|table| chooser.scan(table, rank)).collect();
     let scans = scans.map_err(|finding| Refusal {
         findings: vec![finding.into()],
         recommendations: vec![PlanFinding::FewInReach { reachable: 0, wanted: wanted.points }.into()],
@@ -352,16 +354,18 @@ impl<'a> PoseChooser<'a> {
         PlanFinding::FewCandidates { ball: ball.number(), found, wanted: self.candidates }
     }
 
-    fn scan(&self, table: &BaseBallTable) -> Result<ReachablePoses, PlanFinding> {
+    /// The poses about a base ball that can be reached, in the branch of this rank.
+    fn scan(&self, table: &BaseBallTable, rank: usize) -> Result<ReachablePoses, PlanFinding> {
         let rig = &self.rig;
         let ball = BallId::new(table.id).unwrap_or(BallId::FIRST);
         // With a risk of 1 only the limits and the obstacles count, so that any start does.
         let anywhere = PlanningCell::new(*rig, self.prior, table.id, &[0.0; 6]);
-        let candidates = |count, branch, near| {
+        let branches = anywhere.branches(table, &self.prior.posterior);
+        let branch = branches.get(rank).or(branches.last()).copied();
+        let candidates = |count, near| {
             anywhere.candidates(table.id, count, &CandidateConditions { risk: 1.0, branch, near })
         };
-        let branch = anywhere.branch(table, &self.prior.posterior);
-        let reach = branch.map_or(Vec::new(), |_| candidates(self.candidates, branch, None));
+        let reach = if branch.is_some() { candidates(self.candidates, None) } else { Vec::new() };
         if reach.is_empty() {
             return Err(PlanFinding::NoPose { ball: table.id });
         }
@@ -369,12 +373,12 @@ impl<'a> PoseChooser<'a> {
         let near = match table.taught_deg.map(|deg| deg.map(f64::to_radians)) {
             Some(axes) => {
                 let orientation = rig.arm.ball(&axes).rotation;
-                let exactly = candidates(COMPARED / 2, branch, Some(Near::exactly(orientation)));
-                [exactly, candidates(COMPARED, branch, Some(Near::about(orientation)))].concat()
+                let exactly = candidates(COMPARED / 2, Some(Near::exactly(orientation)));
+                [exactly, candidates(COMPARED, Some(Near::about(orientation)))].concat()
             }
-            // Otherwise with the tool down, in the branch of the other poses.
+            // Otherwise with the tool down.
             None => [0.0, FRAC_PI_2, PI, -FRAC_PI_2]
-                .map(|spin| candidates(COMPARED, branch, Some(Near::about(rot_x(PI) * rot_z(spin)))))
+                .map(|spin| candidates(COMPARED, Some(Near::about(rot_x(PI) * rot_z(spin)))))
                 .into_iter()
                 .max_by_key(Vec::len)
                 .unwrap_or_default(),

@@ -91,21 +91,18 @@ fn one_after_the_other(
     (chosen, errors_mm)
 }
 
-/// Of poses about one more base ball, in several branches of the arm, those that leave the smallest position error: `known` is what is
+/// Poses about one more base ball in several branches of the arm, those first that leave the smallest position error: `known` is what is
 /// known with the ball as its last one, `errors` are the position errors that matter, as [`super::workspace_rows`] has them. A branch
-/// with less than half as many poses as another one is narrow, and is left out. `None` if there is no pose.
-pub fn best_branch(
+/// with less than half as many poses as another one is narrow, and is left out.
+pub fn ordered_branches(
     branches: impl IntoIterator<Item = Vec<Candidate>>,
     known: &Posterior,
     errors: &DMatrix<f64>,
     sigma_mm: f64,
-) -> Option<Vec<Candidate>> {
+) -> Vec<Vec<Candidate>> {
     let mut branches: Vec<Vec<Candidate>> = branches.into_iter().filter(|poses| !poses.is_empty()).collect();
-    let most = branches.iter().map(Vec::len).max()?;
+    let most = branches.iter().map(Vec::len).max().unwrap_or(0);
     branches.retain(|poses| 2 * poses.len() >= most);
-    if branches.len() == 1 {
-        return branches.pop();
-    }
     let ball = BallId::at(known.model.balls.len().saturating_sub(1));
     let left_mm = |poses: &Vec<Candidate>| {
         let about: Vec<Candidate> = poses.iter().map(|pose| Candidate { ball, ..pose.clone() }).collect();
@@ -113,9 +110,9 @@ pub fn best_branch(
             one_after_the_other(&design_rows(known, &about, sigma_mm), errors, 1, POSES_OF_BRANCH, 0.0);
         errors_mm.last().copied().unwrap_or(f64::INFINITY)
     };
-    let errors_mm = map_items(&branches, left_mm);
-    let best = errors_mm.into_iter().zip(branches).min_by(|a, b| a.0.total_cmp(&b.0));
-    best.map(|(_, poses)| poses)
+    let mut by_error: Vec<_> = map_items(&branches, left_mm).into_iter().zip(branches).collect();
+    by_error.sort_by(|a, b| a.0.total_cmp(&b.0));
+    by_error.into_iter().map(|(_, poses)| poses).collect()
 }
 
 /// The poses of all places, each about the ball that has its place's number.
@@ -318,7 +315,7 @@ mod tests {
     /// A UR10 has as many poses in each of its eight branches. Errors at poses of one branch are determined best by lengths in that
     /// branch or in one that is near to it: others leave more than a tenth more, by exchanges.
     #[test]
-    fn branch_is_the_one_that_leaves_least() {
+    fn first_branch_is_the_one_that_leaves_least() {
         let robot = Robot::by_name_with_tool("ur10", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let ball = Vector3::new(600.0, 100.0, 300.0);
         let sphere = Sphere {
@@ -342,15 +339,16 @@ mod tests {
         };
         let all_mm: Vec<f64> = branches.iter().filter(|poses| poses.len() >= 40).map(left_mm).collect();
         let smallest = all_mm.iter().copied().fold(f64::INFINITY, f64::min);
-        let best = best_branch(branches.clone(), &known, &errors(&known), SIGMA_MM).unwrap();
+        let ordered = ordered_branches(branches.clone(), &known, &errors(&known), SIGMA_MM);
+        let best = ordered[0].clone();
         assert!(left_mm(&best) < 1.03 * smallest, "{} {all_mm:?}", left_mm(&best));
         assert!(all_mm.iter().any(|error| *error > 1.1 * smallest), "{all_mm:?}");
         // A branch with less than half as many poses as another one is not compared.
         let other = branches.iter().find(|poses| poses.len() >= 40 && **poses != best).unwrap();
         let narrow = best[..other.len() / 2 - 1].to_vec();
-        let found = best_branch([narrow, other.clone()], &known, &errors(&known), SIGMA_MM);
-        assert_eq!(found.as_ref(), Some(other));
-        assert_eq!(best_branch([Vec::new()], &known, &errors(&known), SIGMA_MM), None);
+        let found = ordered_branches([narrow, other.clone()], &known, &errors(&known), SIGMA_MM);
+        assert_eq!(found, std::slice::from_ref(other));
+        assert!(ordered_branches([Vec::new()], &known, &errors(&known), SIGMA_MM).is_empty());
     }
 
     /// All sets of three places, each with the least number of poses of which an exchange leaves at most the goal: the search takes at

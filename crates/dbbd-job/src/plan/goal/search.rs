@@ -268,7 +268,7 @@ fn ball_place(job: &Job, robot: &Robot, table: &BaseBallTable, known: &Posterior
     let (rig, prior) = (PlanKinematics::new(&job, robot), PlanningPrior::datasheet(&job, robot));
     let anywhere = PlanningCell::new(rig, &prior, 1, &[0.0; 6]);
     let about = BaseBallTable { id: 1, ..table.clone() };
-    let branch = anywhere.branch(&about, known);
+    let branch = anywhere.branches(&about, known).first().copied();
     let conditions = CandidateConditions { risk: 1.0, branch, near: None };
     let poses = branch.map_or(Vec::new(), |_| anywhere.candidates(1, CANDIDATES, &conditions));
     BallPlace { position, poses }
