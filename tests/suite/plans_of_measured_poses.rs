@@ -17,7 +17,8 @@ use rand_pcg::Pcg64;
 
 use crate::kept_poses::Robot60;
 
-/// Standard deviation of a length from positions of a laser tracker, mm: the trackers of both series state about 0.01 mm at these distances.
+/// Standard deviation of a length from positions of a laser tracker, mm: assumed, since the series state none. It is a third of the
+/// repeatability of these robots.
 const TRACKER_MM: f64 = 0.01;
 /// Largest number of kept poses: their mean error is known to some percent then.
 const KEPT: usize = 300;

@@ -121,6 +121,8 @@ mod tests {
         assert!((judged.kept_mm(&run(0, 1, 60), 0.1) - 0.15).abs() < 1e-12);
         assert!((judged.kept_mm(&run(1, 0, 60), 0.05) - 0.1).abs() < 1e-12);
         assert!(judged.has(&run(0, 1, 55)) && !judged.has(&run(0, 1, 57)) && !judged.has(&run(1, 1, 50)));
+        // A run that falls short is followed by one of a tenth more poses.
+        assert_eq!([12, 50, 200].map(|poses| run(0, 1, poses).with_more_poses()), [14, 56, 221]);
         // A plan of the same run replaces what was judged before.
         judged.add(JudgedRun { run: run(0, 1, 50), search_mm: 0.2, kept_mm: 0.4 });
         assert!((judged.kept_mm(&run(0, 1, 60), 0.1) - 0.2).abs() < 1e-12);
