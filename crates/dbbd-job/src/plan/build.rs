@@ -28,11 +28,14 @@ struct SafetyMargin {
     clearance_mm: f64,
 }
 
-/// Where the poses of an attempt come from: they are given, or chosen in the branches of the arm of this rank by the error that they leave.
+/// Where the poses of an attempt come from.
 #[derive(Clone, Copy)]
-struct PoseSource<'a> {
-    given: Option<&'a [Candidate]>,
-    rank: usize,
+enum PoseSource<'a> {
+    Given(&'a [Candidate]),
+    /// They are chosen about each ball in the branch of the arm of this rank, by the error that poses there leave.
+    Chosen {
+        rank: usize,
+    },
 }
 
 /// Degrees of caution that are tried in turn.
@@ -100,8 +103,11 @@ impl Plan {
         prior: &PlanningPrior,
         given: Option<&[Candidate]>,
     ) -> Result<Self, Refusal> {
-        let in_branch = |rank| Self::cautious(job, robot, prior, PoseSource { given, rank });
-        let is_free = given.is_none() && job.centres.iter().any(|table| table.taught_deg.is_none());
+        if let Some(given) = given {
+            return Self::cautious(job, robot, prior, PoseSource::Given(given));
+        }
+        let in_branch = |rank| Self::cautious(job, robot, prior, PoseSource::Chosen { rank });
+        let is_free = job.centres.iter().any(|table| table.taught_deg.is_none());
         match in_branch(0) {
             Err(refusal) if refusal.is_for_place() && job.optimise.is_some() && is_free => {
                 in_branch(1).map_err(|_| refusal)
@@ -142,9 +148,9 @@ impl Plan {
             let mut wary = job.clone();
             wary.limits.min_clearance_mm += caution.clearance_mm;
             let (rig, share) = (PlanKinematics::new(&wary, robot), caution.risk_share);
-            let chosen = match source.given {
-                Some(poses) => optimise::given_steps(&rig, prior, poses, share)?,
-                None => optimise::choose_steps(&rig, prior, share, source.rank)?,
+            let chosen = match source {
+                PoseSource::Given(poses) => optimise::given_steps(&rig, prior, poses, share)?,
+                PoseSource::Chosen { rank } => optimise::choose_steps(&rig, prior, share, rank)?,
             };
             steps.extend(chosen.steps);
             (notes, stage) = (chosen.notes, chosen.stage);
